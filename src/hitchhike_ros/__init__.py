@@ -1,0 +1,1 @@
+"""Hitchhiking for mobile robots: one robot rides behind another and saves its own navigation."""

@@ -1,0 +1,1 @@
+"""Path following, obstacle avoidance and the arbitration of velocity commands."""

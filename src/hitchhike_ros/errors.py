@@ -1,0 +1,68 @@
+"""The error tree. Whoever raises one names what was wrong, where, and what was expected."""
+
+from __future__ import annotations
+
+
+class HitchhikeError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class InputFileError(HitchhikeError):
+    """A file cannot be used: it names the file, the field, its value and what was expected."""
+
+    def __init__(self, file: object, field: str, value: object, expected: str) -> None:
+        self.file, self.field, self.value, self.expected = str(file), field, value, expected
+        where = f"{file}: {field}" if field else str(file)
+        super().__init__(f"{where} is {value!r}, expected {expected}")
+
+
+class MapFileError(InputFileError):
+    """A map_server YAML or its image cannot be used."""
+
+
+class WorldFileError(InputFileError):
+    """A world file cannot be used."""
+
+
+class ParameterError(InputFileError):
+    """A parameter, from a file or from the parameter server, cannot be used."""
+
+
+class RobotModelError(InputFileError):
+    """A URDF lacks a link that a module needs."""
+
+
+class PlanningError(HitchhikeError):
+    """No path: the subclass says why."""
+
+
+class StartBlockedError(PlanningError):
+    """The start is inside an obstacle or its inflation."""
+
+
+class GoalBlockedError(PlanningError):
+    """The goal is inside an obstacle or its inflation."""
+
+
+class OutsideMapError(PlanningError):
+    """Start or goal is not on the map."""
+
+
+class UnreachableError(PlanningError):
+    """Both ends are free, but no path joins them."""
+
+
+class MessageError(HitchhikeError):
+    """A network message cannot be read or is not acceptable."""
+
+
+class TransitionError(HitchhikeError):
+    """A state machine got an event that its state does not allow."""
+
+
+class VisionError(HitchhikeError):
+    """An image, its calibration or a marker setting cannot be used."""
+
+
+class SensorDataError(HitchhikeError):
+    """A sensor reading is senseless (NaN, wrong length, time running backwards)."""

@@ -1,0 +1,1 @@
+"""Scenarios, their figures and reports."""

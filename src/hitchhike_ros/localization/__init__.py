@@ -1,0 +1,1 @@
+"""Motion model, EKF, landmarks and the handover of a pose."""

@@ -1,0 +1,1 @@
+"""Occupancy grids, map files and new obstacles."""

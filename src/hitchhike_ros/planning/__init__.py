@@ -1,0 +1,1 @@
+"""Path search on grids and the overlap of paths."""

@@ -1,0 +1,1 @@
+"""Messages and the state machines of driver and hitchhiker."""

@@ -1,0 +1,1 @@
+"""Marker detection and the laws that follow a marker."""

@@ -1,0 +1,1 @@
+"""The simulated world, its robots and their sensors."""
