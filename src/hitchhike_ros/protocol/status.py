@@ -1,0 +1,110 @@
+"""What hitchhike_comm tells the modules of its own robot: which are on, where to drive, whom to follow.
+
+One latched JSON object on ``hhike_msg/status`` is the only place this is said (P17 Fig. 8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import msgspec
+
+from hitchhike_ros.datatypes import NonNegative, Pose2D, Positive
+from hitchhike_ros.errors import MessageError
+
+
+@dataclass(frozen=True)
+class ModuleSwitches:
+    """On and off of P17 Table 3: path planning, obstacle avoidance, localization, mapping, communication, servoing."""
+
+    PP: bool = True
+    OBS: bool = True
+    LZN: bool = True
+    MAP: bool = True
+    COM: bool = True
+    VS: bool = False
+
+
+@dataclass(frozen=True)
+class GoalCommand:
+    """Where the robot drives to by itself now; a new ``id`` is a new order."""
+
+    id: str
+    x: float
+    y: float
+    theta: float
+    tolerance_m: Positive = 0.10
+    tolerance_rad: Positive = 0.087
+
+    @property
+    def pose(self) -> Pose2D:
+        return Pose2D(self.x, self.y, self.theta)
+
+
+@dataclass(frozen=True)
+class ServoCommand:
+    """What the camera is for: ``follow`` drives behind the marker, ``observe`` only reports markers."""
+
+    task: str
+    marker_id: int
+    marker_size_m: Positive = 0.16
+    gap_m: Positive = 0.8
+    feed_forward_mps: float = 0.0
+
+
+@dataclass(frozen=True)
+class Partner:
+    """The other robot of a ride as its messages tell, so that it is not taken for a new obstacle."""
+
+    x: float
+    y: float
+    radius_m: Positive
+
+
+@dataclass(frozen=True)
+class RideStatus:
+    """The ride as this robot knows it."""
+
+    ride_id: str
+    driver: str
+    hitchhiker: str
+    ride_m: NonNegative = 0.0
+    ridden_m: NonNegative = 0.0
+    partner: Partner | None = None
+
+
+@dataclass(frozen=True)
+class Status:
+    """The whole of ``hhike_msg/status``."""
+
+    time_stamp: float
+    robot_id: str
+    role: str = "none"
+    state: str = "idle"
+    reason: str = ""
+    modules: ModuleSwitches = field(default_factory=ModuleSwitches)
+    goal: GoalCommand | None = None
+    speed_limit_mps: Positive | None = None
+    servo: ServoCommand | None = None
+    ride: RideStatus | None = None
+
+    @property
+    def carries_rider(self) -> bool:
+        """Whether the robot drives with a hitchhiker coupled behind it, and so drives gently."""
+        return self.role == "driver" and self.state in CARRYING_STATES
+
+
+CARRYING_STATES = frozenset({"driving", "waiting_for_rider"})
+
+
+def encode_status(status: Status) -> str:
+    """``status`` as JSON."""
+    return msgspec.json.encode(status).decode()
+
+
+def decode_status(text: str) -> Status:
+    """The status in a JSON text; raises MessageError where it is none."""
+    try:
+        return msgspec.json.decode(text, type=Status)
+    except msgspec.MsgspecError as exc:
+        raise MessageError(f"hhike_msg/status: {exc}") from exc

@@ -1,0 +1,195 @@
+"""ROS messages to datatypes and back. Nothing else knows the layout of both."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, Twist, Vector3
+from nav_msgs.msg import MapMetaData, Path
+from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
+from nav_msgs.msg import Odometry as OdometryMsg
+from sensor_msgs.msg import CameraInfo as CameraInfoMsg
+from sensor_msgs.msg import Image
+from sensor_msgs.msg import LaserScan as LaserScanMsg
+from std_msgs.msg import Header
+
+from hitchhike_ros.datatypes import CameraInfo, FloatArray, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.errors import SensorDataError
+from hitchhike_ros.mapping.grid import OccupancyGrid
+
+# Rows and columns of (x, y, yaw) in a ROS 6 x 6 covariance.
+_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+
+
+def to_stamp(seconds: float) -> rospy.Time:
+    return rospy.Time.from_sec(seconds)
+
+
+def header(stamp: float, frame_id: str) -> Header:
+    return Header(stamp=to_stamp(stamp), frame_id=frame_id)
+
+
+def yaw_from_quaternion(q: Quaternion) -> float:
+    """Yaw in rad of a quaternion that need not be exactly normalised; NaN where it is senseless."""
+    if not q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w > 1e-12:
+        return math.nan
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+
+
+def quaternion_from_yaw(yaw: float) -> Quaternion:
+    return Quaternion(0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0))
+
+
+def quaternion_from_rotation(R: FloatArray) -> Quaternion:
+    """Quaternion of a rotation matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415  (slow to import, and few nodes need it)
+
+    return Quaternion(*Rotation.from_matrix(R).as_quat())
+
+
+def pose_from_msg(msg: Pose) -> Pose2D:
+    return Pose2D(msg.position.x, msg.position.y, yaw_from_quaternion(msg.orientation))
+
+
+def pose_to_msg(pose: Pose2D) -> Pose:
+    return Pose(Point(pose.x, pose.y, 0.0), quaternion_from_yaw(pose.theta))
+
+
+def pose_stamped(pose: Pose2D, stamp: float, frame_id: str) -> PoseStamped:
+    return PoseStamped(header(stamp, frame_id), pose_to_msg(pose))
+
+
+def twist_from_msg(msg: Twist) -> Twist2D:
+    return Twist2D(msg.linear.x, msg.angular.z)
+
+
+def twist_to_msg(twist: Twist2D) -> Twist:
+    return Twist(Vector3(twist.v, 0.0, 0.0), Vector3(0.0, 0.0, twist.omega))
+
+
+def estimate_from_msg(msg: PoseWithCovarianceStamped) -> PoseEstimate:
+    covariance = np.array(msg.pose.covariance, dtype=float).reshape(6, 6)[_PLANAR]
+    return PoseEstimate(msg.header.stamp.to_sec(), pose_from_msg(msg.pose.pose), covariance)
+
+
+def estimate_to_msg(estimate: PoseEstimate, frame_id: str = "map") -> PoseWithCovarianceStamped:
+    covariance = np.zeros((6, 6))
+    covariance[_PLANAR] = estimate.covariance
+    msg = PoseWithCovarianceStamped(header=header(estimate.stamp, frame_id))
+    msg.pose.pose = pose_to_msg(estimate.pose)
+    msg.pose.covariance = covariance.ravel().tolist()
+    return msg
+
+
+def odometry_from_msg(msg: OdometryMsg) -> Odometry:
+    """Raises SensorDataError when pose or twist is not finite."""
+    odometry = Odometry(msg.header.stamp.to_sec(), pose_from_msg(msg.pose.pose), twist_from_msg(msg.twist.twist))
+    if not (odometry.pose.is_finite() and odometry.twist.is_finite()):
+        raise SensorDataError(f"odometry at {odometry.stamp:.2f} s is not finite")
+    return odometry
+
+
+def odometry_to_msg(odometry: Odometry, frame_id: str, child_frame_id: str) -> OdometryMsg:
+    msg = OdometryMsg(header=header(odometry.stamp, frame_id), child_frame_id=child_frame_id)
+    msg.pose.pose = pose_to_msg(odometry.pose)
+    msg.twist.twist = twist_to_msg(odometry.twist)
+    return msg
+
+
+def scan_from_msg(msg: LaserScanMsg) -> LaserScan:
+    """Raises SensorDataError when the scan is empty, its angles are senseless or beams are NaN."""
+    ranges = np.array(msg.ranges, dtype=float)
+    if ranges.size == 0 or not (math.isfinite(msg.angle_min) and msg.angle_increment > 0.0):
+        raise SensorDataError(f"scan at {msg.header.stamp.to_sec():.2f} s is empty or has senseless angles")
+    if np.isnan(ranges).any():
+        raise SensorDataError(f"scan at {msg.header.stamp.to_sec():.2f} s has {int(np.isnan(ranges).sum())} NaN beams")
+    stamp = msg.header.stamp.to_sec()
+    return LaserScan(stamp, msg.angle_min, msg.angle_increment, msg.range_min, msg.range_max, ranges)
+
+
+def scan_to_msg(scan: LaserScan, frame_id: str) -> LaserScanMsg:
+    return LaserScanMsg(
+        header=header(scan.stamp, frame_id),
+        angle_min=scan.angle_min,
+        angle_max=scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
+        angle_increment=scan.angle_increment,
+        range_min=scan.range_min,
+        range_max=scan.range_max,
+        ranges=scan.ranges.astype(np.float32),
+    )
+
+
+def camera_info_from_msg(msg: CameraInfoMsg) -> CameraInfo:
+    distortion = np.array(msg.D, dtype=float) if len(msg.D) else np.zeros(5)
+    return CameraInfo(msg.width, msg.height, np.array(msg.K, dtype=float).reshape(3, 3), distortion)
+
+
+def camera_info_to_msg(info: CameraInfo, stamp: float, frame_id: str) -> CameraInfoMsg:
+    msg = CameraInfoMsg(header=header(stamp, frame_id), width=info.width, height=info.height)
+    msg.distortion_model = "plumb_bob"
+    msg.D, msg.K = info.D.tolist(), info.K.ravel().tolist()
+    msg.R = np.eye(3).ravel().tolist()
+    msg.P = np.hstack([info.K, np.zeros((3, 1))]).ravel().tolist()
+    return msg
+
+
+_CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
+
+
+def image_from_msg(msg: Image) -> np.ndarray:
+    """A view on the pixels, uint8 (H, W) for mono8 and (H, W, 3) for rgb8 and bgr8; no copy.
+
+    Raises:
+        SensorDataError: unknown encoding, or the data is shorter than the header says.
+    """
+    channels = _CHANNELS.get(msg.encoding)
+    if channels is None:
+        raise SensorDataError(f"image encoding {msg.encoding!r}, expected one of {', '.join(_CHANNELS)}")
+    if msg.height == 0 or msg.width == 0 or msg.step < msg.width * channels or len(msg.data) < msg.step * msg.height:
+        raise SensorDataError(
+            f"image of {len(msg.data)} bytes, expected {msg.height} rows of {msg.width} {msg.encoding}"
+        )
+    rows = np.frombuffer(msg.data, np.uint8, msg.step * msg.height).reshape(msg.height, msg.step)
+    pixels = rows[:, : msg.width * channels]
+    return pixels if channels == 1 else pixels.reshape(msg.height, msg.width, channels)
+
+
+def image_to_msg(image: np.ndarray, stamp: float, frame_id: str, encoding: str) -> Image:
+    """An image (H, W[, C]) uint8, or (H, W) float32 with encoding 32FC1."""
+    contiguous = np.ascontiguousarray(image)
+    return Image(
+        header=header(stamp, frame_id),
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding=encoding,
+        step=contiguous.strides[0],
+        data=contiguous.tobytes(),
+    )
+
+
+def path_from_msg(msg: Path) -> FloatArray:
+    """Positions (N, 2) in the path's frame."""
+    return np.array([(p.pose.position.x, p.pose.position.y) for p in msg.poses], dtype=float).reshape(-1, 2)
+
+
+def path_to_msg(points: FloatArray, goal: Pose2D, stamp: float, frame_id: str = "map") -> Path:
+    """Positions (N, 2) as a path whose poses look along it; the last one has the goal's heading."""
+    headings = [math.atan2(d[1], d[0]) for d in np.diff(points, axis=0)]
+    poses = [
+        pose_stamped(Pose2D(float(p[0]), float(p[1]), theta), stamp, frame_id)
+        for p, theta in zip(points, [*headings, goal.theta], strict=True)
+    ]
+    return Path(header=header(stamp, frame_id), poses=poses)
+
+
+def grid_from_msg(msg: OccupancyGridMsg) -> OccupancyGrid:
+    data = np.array(msg.data, dtype=np.int8).reshape(msg.info.height, msg.info.width)
+    return OccupancyGrid(data=data, resolution=msg.info.resolution, origin=pose_from_msg(msg.info.origin))
+
+
+def grid_to_msg(grid: OccupancyGrid, stamp: float, frame_id: str = "map") -> OccupancyGridMsg:
+    rows, columns = grid.data.shape
+    info = MapMetaData(to_stamp(stamp), grid.resolution, columns, rows, pose_to_msg(grid.origin))
+    return OccupancyGridMsg(header(stamp, frame_id), info, grid.data.ravel().tolist())

@@ -1,0 +1,128 @@
+"""What every node shares: a clean end on bad input, switches, diagnostics and the answers of lock-step."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Header, String
+
+from hitchhike_ros.errors import HitchhikeError, MessageError
+from hitchhike_ros.protocol.status import Status, decode_status
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+def run(name: str, build: Callable[[], object]) -> None:
+    """Start node ``name``, build it and spin. Bad input ends it with one clear line and exit status 1.
+
+    ``--help`` on the command line prints the docstring of the module that defines ``build``.
+    """
+    if {"-h", "--help"} & set(rospy.myargv(sys.argv)[1:]):
+        print(sys.modules[build.__module__].__doc__)
+        return
+    rospy.init_node(name)
+    try:
+        node = build()
+    except HitchhikeError as exc:
+        rospy.logfatal("%s: %s", rospy.get_name(), exc)
+        print(f"{rospy.get_name()}: {exc}", file=sys.stderr)
+        rospy.signal_shutdown(str(exc))
+        sys.exit(1)
+    rospy.spin()
+    del node
+
+
+class Diagnostics:
+    """``/diagnostics`` at 1 Hz of the node's clock: the level and message last set, and counters."""
+
+    def __init__(self, name: str) -> None:
+        self._status = DiagnosticStatus(
+            name=f"{rospy.get_namespace().strip('/')}: {name}", hardware_id=rospy.get_name()
+        )
+        self._level, self._message = OK, "starting"
+        self._values: dict[str, object] = {}
+        self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
+        self._timer = rospy.Timer(rospy.Duration(1.0), self._publish, reset=True)
+
+    def set(self, level: int, message: str, **values: object) -> None:
+        """What is published from now on; a change of level is published at once."""
+        changed = level != self._level
+        self._level, self._message = level, message
+        self._values.update(values)
+        if changed:
+            self._publish()
+
+    def count(self, what: str, by: int = 1) -> int:
+        """Add to a counter that is published; the new count."""
+        total = int(str(self._values.get(what, 0))) + by
+        self._values[what] = total
+        return total
+
+    def _publish(self, _event: object = None) -> None:
+        self._status.level, self._status.message = self._level, self._message
+        self._status.values = [KeyValue(k, str(v)) for k, v in list(self._values.items())]
+        self._publisher.publish(DiagnosticArray(Header(stamp=rospy.Time.now()), [self._status]))
+
+
+class Switch:
+    """Subscribes sensors while a module is on and drops them while it is off, so that off costs nothing."""
+
+    def __init__(self, topics: Iterable[tuple[str, Any, Callable[[Any], None]]], queue_size: int = 1) -> None:
+        self._topics, self._queue_size = list(topics), queue_size
+        self._subscribers: list[rospy.Subscriber] = []
+
+    @property
+    def on(self) -> bool:
+        return bool(self._subscribers)
+
+    def set(self, on: bool) -> bool:
+        """Switch; whether that changed anything."""
+        if on == self.on:
+            return False
+        if on:
+            self._subscribers = [
+                rospy.Subscriber(topic, cls, callback, queue_size=self._queue_size, buff_size=1 << 22, tcp_nodelay=True)
+                for topic, cls, callback in self._topics
+            ]
+        else:
+            for subscriber in self._subscribers:
+                subscriber.unregister()
+            self._subscribers = []
+        return True
+
+
+class StatusListener:
+    """Calls back with each readable ``hhike_msg/status``; others are counted and logged."""
+
+    def __init__(self, callback: Callable[[Status], None], diagnostics: Diagnostics) -> None:
+        self._callback, self._diagnostics = callback, diagnostics
+        self._subscriber = rospy.Subscriber("hhike_msg/status", String, self._receive, queue_size=10)
+
+    def _receive(self, msg: String) -> None:
+        try:
+            status = decode_status(msg.data)
+        except MessageError as exc:
+            self._diagnostics.count("bad_status")
+            rospy.logwarn_throttle(10.0, "%s", exc)
+            return
+        self._callback(status)
+
+
+class LockstepAnswer:
+    """Tells the simulator that a sensor frame has been worked on, when ``/lockstep`` is true (design §6)."""
+
+    def __init__(self, module: str) -> None:
+        self._module = module
+        self._publisher = (
+            rospy.Publisher("lockstep/answer", Header, queue_size=20, tcp_nodelay=True)
+            if rospy.get_param("/lockstep", False)
+            else None
+        )
+
+    def __call__(self, stamp: float) -> None:
+        if self._publisher is not None:
+            self._publisher.publish(Header(stamp=rospy.Time.from_sec(stamp), frame_id=self._module))

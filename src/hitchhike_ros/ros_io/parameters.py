@@ -1,0 +1,47 @@
+"""Parameters of a node: defaults of its dataclass, then its section of the file ``~config``, then private parameters."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import TypeVar
+
+import rospy
+
+from hitchhike_ros.errors import ParameterError
+from hitchhike_ros.parameters import load_parameters
+
+T = TypeVar("T")
+
+
+def node_parameters(cls: type[T], section: str) -> T:
+    """Checked parameters of one component.
+
+    Raises:
+        ParameterError: names the file or the private parameter, its value and what was expected.
+    """
+    overrides = {
+        f.name: rospy.get_param(f"~{f.name}")
+        for f in fields(cls)  # type: ignore[arg-type]
+        if rospy.has_param(f"~{f.name}")
+    }
+    return load_parameters(cls, section, rospy.get_param("~config", "") or None, overrides)
+
+
+def path_parameter(name: str) -> Path:
+    """The existing file named by private parameter ``name``.
+
+    Raises:
+        ParameterError: the parameter is missing or names no file.
+    """
+    value = rospy.get_param(f"~{name}", "")
+    path = Path(str(value))
+    if not value or not path.is_file():
+        raise ParameterError(rospy.get_name(), f"~{name}", value, "the path of an existing file")
+    return path
+
+
+def frame(name: str) -> str:
+    """``<robot>/name``: the robot's frames carry ``~tf_prefix``, by default the node's namespace."""
+    prefix = str(rospy.get_param("~tf_prefix", rospy.get_namespace())).strip("/")
+    return f"{prefix}/{name}" if prefix else name
