@@ -53,8 +53,8 @@ class ServoCommand:
 
 
 @dataclass(frozen=True)
-class Partner:
-    """The other robot of a ride as its messages tell, so that it is not taken for a new obstacle."""
+class KnownRobot:
+    """Another robot where its messages say it is, so that it is not taken for a new obstacle."""
 
     x: float
     y: float
@@ -70,7 +70,6 @@ class RideStatus:
     hitchhiker: str
     ride_m: NonNegative = 0.0
     ridden_m: NonNegative = 0.0
-    partner: Partner | None = None
 
 
 @dataclass(frozen=True)
@@ -87,6 +86,7 @@ class Status:
     speed_limit_mps: Positive | None = None
     servo: ServoCommand | None = None
     ride: RideStatus | None = None
+    robots: tuple[KnownRobot, ...] = ()
 
     @property
     def carries_rider(self) -> bool:

@@ -1,4 +1,4 @@
-"""Parameters of a node: defaults of its dataclass, then its section of the file ``~config``, then private parameters."""
+"""Parameters of a node: its dataclass's defaults, then its section of the file ``~config``, then private ones."""
 
 from __future__ import annotations
 

@@ -1,0 +1,254 @@
+"""The messages between robots: one JSON object each on ``/hhike_msg/network`` (P17 Listing 1, made valid).
+
+Metres and radians in ``map``. Numbers given as strings are read, unknown keys are ignored, unknown types and versions
+are refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from hitchhike_ros.datatypes import NonNegative, Obstacle, Pose2D, Positive
+from hitchhike_ros.errors import MessageError
+
+VERSION = 1
+EVERYBODY = "*"
+
+RobotId = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+Profile = Annotated[float, msgspec.Meta(ge=0, le=100)]
+Priority = Annotated[int, msgspec.Meta(ge=0, le=20)]
+Row = tuple[float, float, float]
+Covariance = tuple[Row, Row, Row]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """What every message carries. ``seq`` grows from message to message of one robot."""
+
+    type: ClassVar[str]
+
+    robot_id: RobotId
+    to: RobotId = EVERYBODY
+    ride_id: str = ""
+    seq: Annotated[int, msgspec.Meta(ge=0)] = 0
+    time_stamp: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseFields:
+    """Where the sender is."""
+
+    x: float
+    y: float
+    theta: float
+
+    @property
+    def pose(self) -> Pose2D:
+        return Pose2D(self.x, self.y, self.theta)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beacon(Message):
+    """``status``: who is there, where, and what for. A rider that does not localize has no pose of its own."""
+
+    type = "status"
+
+    state: str
+    profile: Profile
+    priority: Priority
+    radius_m: Positive = 0.3
+    pose: Pose2D | None = None
+    goal: Pose2D | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request(PoseFields, Message):
+    """A hitchhiker asks for a ride: {R_h, G_h, P_h} and where it stands (P17 §2.2, P18 §4)."""
+
+    type = "request"
+
+    goal: Pose2D
+    profile: Profile
+    priority: Priority = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accept(PoseFields, Message):
+    """A driver offers the ride: how long it is, where it ends, and the marker on its back."""
+
+    type = "accept"
+
+    profile: Profile
+    ride_m: NonNegative
+    decouple_point: tuple[float, float]
+    marker_id: int
+    marker_size_m: Positive
+    marker_pose: Pose2D  # in the driver's base_footprint
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deny(Message):
+    """A driver refuses, with the paper's text where it has one."""
+
+    type = "deny"
+
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lock(Message):
+    """The hitchhiker takes the offer."""
+
+    type = "lock"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RequestCancel(Message):
+    """The hitchhiker no longer needs a ride from this driver."""
+
+    type = "request_cancel"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aligned(PoseFields, Message):
+    """*Aligned: ready to couple*, with dloc (P17 Alg. 1, line 18)."""
+
+    type = "aligned"
+
+    decouple_point: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coupled(Message):
+    """*Coupling successful* (P17 Alg. 2, line 9)."""
+
+    type = "coupled"
+
+    gap_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewObstacles:
+    """Ω of the papers."""
+
+    obstacles: tuple[Obstacle, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driver(PoseFields, Message):
+    """The driver's message of every δ seconds: pose, Σ, Ω (P17 §4, Listing 1), and its speed."""
+
+    type = "driver"
+
+    sigma: Covariance
+    new_obstacles: NewObstacles = NewObstacles()
+    v: float = 0.0
+    ridden_m: NonNegative = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ack(Message):
+    """Message ``acknowledges`` of type ``of`` has arrived; a rider adds how it follows."""
+
+    type = "ack"
+
+    of: str
+    acknowledges: int
+    following: bool = True
+    gap_m: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decouple(PoseFields, Message):
+    """The driver stands at dloc and hands over pose, Σ and Ω (P17 Alg. 1, line 31)."""
+
+    type = "decouple"
+
+    sigma: Covariance
+    new_obstacles: NewObstacles = NewObstacles()
+    ridden_m: NonNegative = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terminate(Message):
+    """Either robot ends the ride, with the reason."""
+
+    type = "terminate"
+
+    reason: str
+
+
+MESSAGE_TYPES: dict[str, type[Message]] = {
+    cls.type: cls
+    for cls in (
+        Beacon,
+        Request,
+        Accept,
+        Deny,
+        Lock,
+        RequestCancel,
+        Aligned,
+        Coupled,
+        Driver,
+        Ack,
+        Decouple,
+        Terminate,
+    )
+}
+
+
+def encode(message: Message) -> str:
+    """``message`` as JSON."""
+    return msgspec.json.encode({"version": VERSION, "type": message.type, **msgspec.to_builtins(message)}).decode()
+
+
+def decode(text: str) -> Message:
+    """The message in a JSON text.
+
+    Raises:
+        MessageError: no JSON object, another version, an unknown type, or a field that is missing or out of bounds;
+            it names the field and what was expected.
+    """
+    try:
+        content = msgspec.json.decode(text)
+    except (msgspec.DecodeError, UnicodeEncodeError) as exc:
+        raise MessageError(f"not JSON: {exc}") from exc
+    if not isinstance(content, dict):
+        raise MessageError(f"not a JSON object but {type(content).__name__}")
+    if str(content.get("version")) != str(VERSION):
+        raise MessageError(f"version {content.get('version')!r}, expected {VERSION}")
+    kind = content.get("type")
+    cls = MESSAGE_TYPES.get(kind) if isinstance(kind, str) else None
+    if cls is None:
+        raise MessageError(f"type {kind!r}, expected one of {', '.join(MESSAGE_TYPES)}")
+    try:
+        message = msgspec.convert(content, cls, strict=False)
+    except msgspec.ValidationError as exc:
+        raise MessageError(f"{kind}: {exc}") from exc
+    for name, value in _floats(message):
+        if not math.isfinite(value):
+            raise MessageError(f"{kind}: {name} is {value}, expected a finite number")
+    return message
+
+
+def covariance_rows(covariance: object) -> Covariance:
+    """A 3 x 3 array as the nested tuple that messages carry."""
+    rows = [tuple(float(v) for v in row) for row in covariance]  # type: ignore[attr-defined]
+    return msgspec.convert(rows, Covariance)
+
+
+def _floats(value: object, name: str = "") -> Iterator[tuple[str, float]]:
+    """Every float in a message with the name of its field."""
+    if isinstance(value, float):
+        yield name, value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _floats(item, name)
+    elif is_dataclass(value):
+        for f in fields(value):
+            yield from _floats(getattr(value, f.name), f"{name}.{f.name}" if name else f.name)
