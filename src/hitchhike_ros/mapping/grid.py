@@ -76,7 +76,8 @@ class OccupancyGrid:
         """A new grid in which every cell that a box overlaps is occupied; parts of boxes off the grid are left out."""
         data = self.data.copy()
         turn = abs(np.cos(self.origin.theta)) + abs(np.sin(self.origin.theta))
-        tiny = 1e-6 * self.resolution  # a box that ends on a cell's edge does not reach into the next cell
+        # A box that ends on a cell's edge does not reach into the next, though messages carry resolutions as float32.
+        tiny = 1e-3 * self.resolution
         for box in obstacles:
             centre = np.array([box.x + box.w / 2, box.y + box.b / 2])
             half = np.maximum([box.w / 2, box.b / 2], 2 * tiny)

@@ -118,8 +118,9 @@ def _read_image(path: Path, name: str) -> npt.NDArray[np.float64]:
         raise MapFileError(path, "image", name, f"a PGM, PNG or BMP image ({exc.err})") from exc
     if pixels is None:
         raise MapFileError(path, "image", name, "a PGM, PNG or BMP image that can be read")
-    scale = 255.0 / np.iinfo(pixels.dtype).max if np.issubdtype(pixels.dtype, np.integer) else 255.0
-    return np.atleast_3d(pixels) * scale
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise MapFileError(path, "image", name, f"an image of 8 or 16 bits a channel, not of {pixels.dtype}")
+    return np.atleast_3d(pixels) * (255.0 / np.iinfo(pixels.dtype.name).max)
 
 
 def _values(pixels: npt.NDArray[np.float64], description: _MapYaml) -> npt.NDArray[np.int8]:
