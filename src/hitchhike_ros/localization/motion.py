@@ -1,0 +1,88 @@
+"""Velocity motion model of a differential drive with its Jacobians and noise (P18 Eqs. 7-12)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive, Twist2D
+from hitchhike_ros.geometry import between, wrap_angle
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """Noise in control space (P18 Eq. 10): var(v) = a1 v^2 + a2 w^2, var(w) = a3 v^2 + a4 w^2.
+
+    The papers hold a velocity for one time step. Here a step lasts ``period_s`` and a shorter or longer interval gets
+    the variance of the same random walk, so that the rate of the odometry does not matter (chosen).
+    """
+
+    alpha_1: NonNegative = 0.004  # 1
+    alpha_2: NonNegative = 0.0001  # m^2
+    alpha_3: NonNegative = 0.006  # 1/m^2
+    alpha_4: NonNegative = 0.006  # 1
+    period_s: Positive = 0.1
+
+    def covariance(self, twist: Twist2D, dt_s: float) -> FloatArray:
+        """M (2, 2) in (v, omega) of a velocity held for ``dt_s`` > 0 (P18 Eq. 10)."""
+        v2, w2 = twist.v**2, twist.omega**2
+        steps = self.period_s / dt_s
+        return np.diag(
+            [(self.alpha_1 * v2 + self.alpha_2 * w2) * steps, (self.alpha_3 * v2 + self.alpha_4 * w2) * steps]
+        )
+
+
+def move(pose: Pose2D, twist: Twist2D, dt_s: float) -> Pose2D:
+    """The pose after ``twist`` was held for ``dt_s``: an arc, continuous at omega = 0 (P18 Eq. 11)."""
+    s, c, _, _ = _arc(twist.omega * dt_s)
+    along, across = twist.v * dt_s * s, twist.v * dt_s * c
+    cos, sin = math.cos(pose.theta), math.sin(pose.theta)
+    return Pose2D(
+        pose.x + cos * along - sin * across,
+        pose.y + sin * along + cos * across,
+        wrap_angle(pose.theta + twist.omega * dt_s),
+    )
+
+
+def jacobians(theta: float, twist: Twist2D, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """G (3, 3) = d move / d pose and V (3, 2) = d move / d (v, omega) (P18 Eqs. 8 and 9)."""
+    s, c, ds, dc = _arc(twist.omega * dt_s)
+    cos, sin = math.cos(theta), math.sin(theta)
+    path = twist.v * dt_s
+    G = np.array([[1.0, 0.0, path * (-sin * s - cos * c)], [0.0, 1.0, path * (cos * s - sin * c)], [0.0, 0.0, 1.0]])
+    V = dt_s * np.array(
+        [
+            [cos * s - sin * c, path * (cos * ds - sin * dc)],
+            [sin * s + cos * c, path * (sin * ds + cos * dc)],
+            [0.0, 1.0],
+        ]
+    )
+    return G, V
+
+
+def twist_between(before: Pose2D, after: Pose2D, dt_s: float) -> Twist2D:
+    """The twist whose arc leads from one odometry pose to the next within ``dt_s`` > 0.
+
+    Where no single arc joins the two (the wheels changed speed in between), the arc has the turn of the two poses and
+    the length of the chord's projection on it.
+    """
+    step = between(before, after)
+    s, c, _, _ = _arc(step.theta)
+    return Twist2D((step.x * s + step.y * c) / (s * s + c * c) / dt_s, step.theta / dt_s)
+
+
+def _arc(beta: float) -> tuple[float, float, float, float]:
+    """sin(b)/b, (1 - cos b)/b and their derivatives by b, with their limits where the turn b vanishes."""
+    if abs(beta) < 1e-2:
+        b2 = beta * beta
+        return (
+            1.0 - b2 / 6.0 + b2 * b2 / 120.0,
+            beta * (0.5 - b2 / 24.0 + b2 * b2 / 720.0),
+            beta * (-1.0 / 3.0 + b2 / 30.0),
+            0.5 - b2 / 8.0 + b2 * b2 / 144.0,
+        )
+    sin, cos = math.sin(beta), math.cos(beta)
+    s, c = sin / beta, (1.0 - cos) / beta
+    return s, c, (cos - s) / beta, (sin - c) / beta
