@@ -1,0 +1,388 @@
+"""The hitchhiker of P17 Algorithm 2 as a table: ask, lock, wait, couple, ride, take over the pose, go on."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from hitchhike_ros.datatypes import MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.geometry import distance
+from hitchhike_ros.localization.handover import handover
+from hitchhike_ros.protocol.machine import (
+    GoalCancelled,
+    GoalGiven,
+    Machine,
+    Row,
+    TakeObstacles,
+    TakePose,
+    Tick,
+    Timeout,
+)
+from hitchhike_ros.protocol.messages import (
+    Accept,
+    Ack,
+    Aligned,
+    Coupled,
+    Decouple,
+    Deny,
+    Driver,
+    Lock,
+    Message,
+    Request,
+    RequestCancel,
+    Terminate,
+)
+from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.status import ModuleSwitches, RideStatus, ServoCommand
+
+DRIVER_NOT_FOUND = "Driver not found"
+DRIVER_LOST = "Driver lost"
+DRIVER_SILENT = "No message from the driver"
+DRIVER_NOT_ALIGNED = "Driver did not align"
+NOT_COUPLED = "Large couple_time"
+RIDE_CANCELLED = "Goal cancelled"
+
+# What a pose from an old driver message may be off by after the marker was lost: x, y in m, theta in rad (chosen).
+_LOST_SIGMA = (0.5, 0.5, 0.3)
+
+
+class HitchhikerState(Enum):
+    """Where the ride stands for the one who rides."""
+
+    IDLE = "idle"
+    REQUESTING = "requesting"
+    LOCKING = "locking"
+    AWAITING_ALIGNED = "awaiting_aligned"
+    COUPLING = "coupling"
+    RIDING = "riding"
+    SETTLING = "settling"
+    RELOCALIZING = "relocalizing"
+
+
+S = HitchhikerState
+BEFORE_RIDE = (S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING)
+COUPLED = (S.RIDING, S.SETTLING)
+
+
+class HitchhikerMachine(Machine[HitchhikerState]):
+    """Rides towards a goal; back in IDLE, ``reason`` says how it ended and the robot goes on alone.
+
+    ``camera`` is the camera's position in base_footprint: gaps are measured from there.
+    """
+
+    ROWS = (
+        Row((S.IDLE,), GoalGiven, "_ask", (S.REQUESTING,)),
+        Row((S.REQUESTING,), Tick, "_repeat_request"),
+        Row((S.REQUESTING,), Accept, "_lock", (S.LOCKING,)),
+        Row((S.REQUESTING,), Deny, "_note_denial"),
+        Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Accept, "_refuse_offer"),
+        Row((S.LOCKING,), Tick, "_repeat_lock"),
+        Row((S.LOCKING,), Ack, "_locked", (S.AWAITING_ALIGNED,)),
+        Row((S.LOCKING, S.AWAITING_ALIGNED), Aligned, "_couple", (S.COUPLING,)),
+        Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Deny, "_offer_withdrawn", (S.REQUESTING,)),
+        Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Terminate, "_offer_withdrawn", (S.REQUESTING,)),
+        Row((S.COUPLING,), Tick, "_watch_gap", (S.RIDING,)),
+        Row((S.RIDING,), Tick, "_watch_driver", (S.RELOCALIZING,)),
+        Row((S.RIDING,), Driver, "_acknowledge"),
+        Row((S.RIDING,), Decouple, "_settle", (S.SETTLING,)),
+        Row((S.RIDING,), Terminate, "_abandoned", (S.RELOCALIZING,)),
+        Row((S.SETTLING,), Decouple, "_newer_pose"),
+        Row((S.SETTLING,), Tick, "_take_over", (S.RELOCALIZING,)),
+        Row((S.SETTLING,), Terminate, "_abandoned", (S.RELOCALIZING,)),
+        Row((S.RELOCALIZING,), Tick, "_watch_localization", (S.IDLE,)),
+        Row((S.RELOCALIZING, S.IDLE), Decouple, "_acknowledge_again"),
+        Row(BEFORE_RIDE, GoalCancelled, "_cancel", (S.IDLE,)),
+        Row(COUPLED, GoalCancelled, "_cancel_ride", (S.RELOCALIZING,)),
+        Row((S.IDLE, S.RELOCALIZING), GoalCancelled, "_nothing_to_cancel"),
+    )
+    TIMEOUTS = (
+        Timeout(S.REQUESTING, "max_wait_s", "_driver_not_found", (S.IDLE,)),
+        Timeout(S.LOCKING, "confirm_timeout_s", "_lock_lost", (S.REQUESTING,)),
+        Timeout(S.AWAITING_ALIGNED, "max_align_s", "_not_aligned", (S.REQUESTING,)),
+        Timeout(S.COUPLING, "max_couple_s", "_not_coupled", (S.REQUESTING,)),
+        Timeout(S.SETTLING, "settle_timeout_s", "_take_over_now", (S.RELOCALIZING,)),
+        Timeout(S.RELOCALIZING, "localize_timeout_s", "_give_up_localizing", (S.IDLE,)),
+    )
+
+    def __init__(self, robot_id: str, params: HitchhikingParams, camera: tuple[float, float]) -> None:
+        super().__init__(S.IDLE, params)
+        self.robot_id = robot_id
+        self.params = params
+        self.goal: Pose2D | None = None
+        self.offer: Accept | None = None
+        self.ride_id = ""
+        self.ridden_m = 0.0
+        self._camera = camera
+        self._rides = 0
+        self._asked_since = 0.0
+        self._in_gap_since: float | None = None
+        self._seen_at = 0.0
+        self._heard_at = 0.0
+        self._report_at: Driver | Decouple | None = None
+        self._settled_pose: PoseEstimate | None = None
+
+    def step(self, event: object, now: float) -> list:
+        """As Machine.step; messages of other rides than the current one are ignored."""
+        if isinstance(event, Message) and not self._concerns(event):
+            self.ignored += 1
+            return []
+        return super().step(event, now)
+
+    @property
+    def modules(self) -> ModuleSwitches:
+        """P17 Table 3: while coupled only communication and servoing are on."""
+        alone = self.state not in COUPLED
+        return ModuleSwitches(PP=alone, OBS=alone, LZN=alone, MAP=alone, COM=True, VS=self.servo is not None)
+
+    @property
+    def servo(self) -> ServoCommand | None:
+        if self.offer is None or self.state not in (S.COUPLING, *COUPLED):
+            return None
+        speed = self._report_at.v if isinstance(self._report_at, Driver) else 0.0
+        return ServoCommand("follow", self.offer.marker_id, self.offer.marker_size_m, self.params.gap_m, speed)
+
+    @property
+    def ride(self) -> RideStatus | None:
+        if self.offer is None:
+            return None
+        return RideStatus(self.ride_id, self.offer.robot_id, self.robot_id, self.offer.ride_m, self.ridden_m)
+
+    def gap_m(self) -> float | None:
+        """Distance from the own camera to the driver's marker, None when it is not in view."""
+        seen = self._observation()
+        return None if seen is None else distance(Pose2D(*self._camera), seen.pose)
+
+    # Actions of the table, in its order.
+
+    def _ask(self, event: GoalGiven) -> None:
+        self.goal, self.offer, self.ridden_m = event.goal, None, 0.0
+        self._asked_since = self._now
+        self._new_request()
+        self._go(S.REQUESTING)
+
+    def _repeat_request(self, _tick: Tick) -> None:
+        estimate = self.situation.estimate
+        if self.goal is None or estimate is None or not self._every(self.params.request_period_s, "request"):
+            return
+        pose = estimate.pose
+        self._send(
+            Request(
+                robot_id=self.robot_id,
+                ride_id=self.ride_id,
+                x=pose.x,
+                y=pose.y,
+                theta=pose.theta,
+                goal=self.goal,
+                profile=self.params.profile,
+                priority=self.params.priority,
+            )
+        )
+
+    def _lock(self, offer: Accept) -> None:
+        # First come, first served (P17); choosing among several offers belongs to the network mode of P18 §4.
+        self.offer = offer
+        self._go(S.LOCKING)
+        self._repeat_lock()
+
+    def _note_denial(self, denial: Deny) -> None:
+        if denial.reason != self.reason:
+            self._report(f"{denial.robot_id} denies: {denial.reason}")
+        self.reason = denial.reason
+
+    def _refuse_offer(self, offer: Accept) -> None:
+        if self.offer is not None and offer.robot_id != self.offer.robot_id:
+            self._send(RequestCancel(robot_id=self.robot_id, to=offer.robot_id, ride_id=self.ride_id))
+
+    def _repeat_lock(self, _tick: Tick | None = None) -> None:
+        if self._every(self.params.repeat_period_s, "lock"):
+            self._send(Lock(**self._to_driver()))
+
+    def _locked(self, ack: Ack) -> None:
+        if ack.of == Lock.type:
+            self._go(S.AWAITING_ALIGNED)
+
+    def _couple(self, _aligned: Aligned) -> None:
+        self._in_gap_since = None
+        self._go(S.COUPLING)
+
+    def _offer_withdrawn(self, message: Deny | Terminate) -> None:
+        self._ask_again(message.reason)
+
+    def _watch_gap(self, _tick: Tick) -> None:
+        gap = self.gap_m()
+        settled = (
+            gap is not None
+            and abs(gap - self.params.gap_m) <= self.params.gap_tolerance_m
+            and abs(self.situation.speed_mps) <= self.params.standstill_mps
+        )
+        if gap is None or not settled:
+            self._in_gap_since = None
+            return
+        if self._in_gap_since is None:
+            self._in_gap_since = self._now
+        if self._now - self._in_gap_since >= self.params.repeat_period_s:
+            self._seen_at = self._heard_at = self._now
+            self._report_at = None
+            self._go(S.RIDING)
+            self._send_coupled(gap)
+
+    def _watch_driver(self, _tick: Tick) -> None:
+        gap = self.gap_m()
+        if gap is not None:
+            self._seen_at = self._now
+            if self._report_at is None and self._every(self.params.repeat_period_s, "coupled"):
+                self._send_coupled(gap)
+        if self._now - self._seen_at > self.params.servo_timeout_s:
+            self._lose_driver(DRIVER_LOST)
+        elif self._now - self._heard_at > self.params.message_timeout_s:
+            self._lose_driver(DRIVER_SILENT)
+
+    def _acknowledge(self, message: Driver) -> None:
+        self._hear(message)
+        gap = self.gap_m()
+        following = gap is not None and self._now - self._seen_at <= self.params.repeat_period_s
+        self._send(Ack(**self._to_driver(), of=message.type, acknowledges=message.seq, following=following, gap_m=gap))
+
+    def _settle(self, message: Decouple) -> None:
+        self._hear(message)
+        self._go(S.SETTLING)
+
+    def _newer_pose(self, message: Decouple) -> None:
+        self._hear(message)
+
+    def _take_over(self, _tick: Tick) -> None:
+        seen = self._observation()
+        standing = abs(self.situation.speed_mps) <= self.params.standstill_mps
+        # The driver's pose and the marker's must be of one moment: both robots stand, and the marker was seen since.
+        if standing and seen is not None and self.time_in_state() >= self.params.repeat_period_s:
+            self._take_over_now()
+
+    def _take_over_now(self) -> None:
+        seen = self._observation()
+        if seen is None:
+            self._lose_driver(DRIVER_LOST)
+            return
+        self._relocalize(self._pose_behind_driver(seen), "")
+        if isinstance(self._report_at, Decouple):
+            self._acknowledge_again(self._report_at)
+
+    def _abandoned(self, message: Terminate) -> None:
+        self._relocalize(self._rough_pose(), message.reason)
+
+    def _watch_localization(self, _tick: Tick) -> None:
+        taken, estimate = self._settled_pose, self.situation.estimate
+        if taken is not None and estimate is not None and estimate.stamp > taken.stamp:
+            self._finish(self.reason)
+
+    def _acknowledge_again(self, message: Decouple) -> None:
+        to_driver = {"robot_id": self.robot_id, "to": message.robot_id, "ride_id": message.ride_id}
+        self._send(Ack(**to_driver, of=message.type, acknowledges=message.seq, gap_m=self.gap_m()))
+
+    def _cancel(self, _event: GoalCancelled) -> None:
+        if self.offer is not None:
+            self._send(RequestCancel(**self._to_driver()))
+        self._finish(RIDE_CANCELLED)
+
+    def _cancel_ride(self, _event: GoalCancelled) -> None:
+        self._send(Terminate(**self._to_driver(), reason=RIDE_CANCELLED))
+        self.goal = None
+        self._relocalize(self._rough_pose(), RIDE_CANCELLED)
+
+    def _nothing_to_cancel(self, _event: GoalCancelled) -> None:
+        self.goal = None
+
+    # Timeouts.
+
+    def _driver_not_found(self) -> None:
+        self._finish(f"{DRIVER_NOT_FOUND} ({self.reason})" if self.reason else DRIVER_NOT_FOUND)
+
+    def _lock_lost(self) -> None:
+        self._ask_again("Lock not confirmed")
+
+    def _not_aligned(self) -> None:
+        self._send(Terminate(**self._to_driver(), reason=DRIVER_NOT_ALIGNED))
+        self._ask_again(DRIVER_NOT_ALIGNED)
+
+    def _not_coupled(self) -> None:
+        self._send(Terminate(**self._to_driver(), reason=NOT_COUPLED))
+        self._ask_again(NOT_COUPLED)
+
+    def _give_up_localizing(self) -> None:
+        self._finish(f"{self.reason}; localization did not answer".lstrip("; "))
+
+    # What several actions do.
+
+    def _concerns(self, message: Message) -> bool:
+        if isinstance(message, Decouple) and self.state in (S.IDLE, S.RELOCALIZING):
+            return message.ride_id == self.ride_id
+        if message.ride_id != self.ride_id:
+            return False
+        return self.offer is None or isinstance(message, Accept) or message.robot_id == self.offer.robot_id
+
+    def _to_driver(self) -> dict[str, str]:
+        to = self.offer.robot_id if self.offer is not None else "*"
+        return {"robot_id": self.robot_id, "to": to, "ride_id": self.ride_id}
+
+    def _observation(self) -> MarkerObservation | None:
+        """The driver's marker, unless it was seen too long ago to act upon."""
+        seen = self.situation.observation
+        if seen is None or self.offer is None or seen.marker_id != self.offer.marker_id:
+            return None
+        return seen if self._now - seen.stamp <= self.params.repeat_period_s else None
+
+    def _send_coupled(self, gap: float) -> None:
+        self._every(self.params.repeat_period_s, "coupled")
+        self._send(Coupled(**self._to_driver(), gap_m=gap))
+
+    def _hear(self, message: Driver | Decouple) -> None:
+        self._heard_at, self._report_at, self.ridden_m = self._now, message, message.ridden_m
+
+    def _new_request(self) -> None:
+        self._rides += 1
+        self.ride_id = f"{self.robot_id}-{self._rides}-{self._now:.1f}"
+
+    def _ask_again(self, reason: str) -> None:
+        """Back to asking, as long as T_hwait of the first request allows."""
+        self._report(reason)
+        self.offer = None
+        self._new_request()
+        self._go(S.REQUESTING, reason)
+        self._entered = self._asked_since
+
+    def _finish(self, reason: str) -> None:
+        self._report(reason or "Ride completed")
+        self._go(S.IDLE, reason)
+        self.offer = None
+
+    def _lose_driver(self, reason: str) -> None:
+        self._send(Terminate(**self._to_driver(), reason=reason))
+        self._relocalize(self._rough_pose(), reason)
+
+    def _relocalize(self, pose: PoseEstimate | None, reason: str) -> None:
+        self._settled_pose = pose
+        if pose is not None:
+            self._effects.append(TakePose(pose))
+        if self._report_at is not None and self._report_at.new_obstacles.obstacles:
+            self._effects.append(TakeObstacles(self._report_at.new_obstacles.obstacles))
+        self._go(S.RELOCALIZING, reason)
+
+    def _driver_estimate(self) -> PoseEstimate | None:
+        message = self._report_at
+        return None if message is None else PoseEstimate(self._now, message.pose, np.array(message.sigma))
+
+    def _pose_behind_driver(self, seen: MarkerObservation) -> PoseEstimate | None:
+        driver = self._driver_estimate()
+        if driver is None or self.offer is None:
+            return None
+        return handover(self.params.handover, driver, seen, self.offer.marker_pose)
+
+    def _rough_pose(self) -> PoseEstimate | None:
+        """From the driver's last message alone (P17 §4), with an uncertainty that says so."""
+        driver = self._driver_estimate()
+        if driver is None or self.offer is None:
+            return self.situation.estimate  # still where it coupled: its own estimate has not been switched off yet
+        marker = self.offer.marker_pose
+        ahead = Pose2D(self._camera[0] + self.params.gap_m, 0.0, np.pi)
+        assumed = MarkerObservation(self._now, self.offer.marker_id, ahead, np.diag(np.square(_LOST_SIGMA)))
+        return handover("measured", driver, assumed, marker)

@@ -1,0 +1,51 @@
+"""Parameters of hitchhiking, section ``hitchhiking`` of a robot's file. Symbols of the papers stand beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from hitchhike_ros.datatypes import NonNegative, Positive
+from hitchhike_ros.protocol.messages import Priority, Profile
+
+TIME_CRITICAL_PRIORITY = 16  # P18 §2.1: 16-20 neither gives nor takes a ride
+
+
+@dataclass(frozen=True)
+class HitchhikingParams:
+    """What one robot offers, asks for and waits for. Values without a symbol of the papers are chosen."""
+
+    profile: Profile = 50.0  # P, score of sensors, odometry and SLAM
+    priority: Priority = 10  # T, 16-20 is time critical
+    may_ride: bool = True
+    may_drive: bool = True
+
+    max_wait_s: Positive = 60.0  # T_hwait
+    max_align_s: Positive = 30.0  # T_align
+    max_couple_s: Positive = 20.0  # T_coupling
+    min_ride_m: Positive = 20.0  # T_dhh
+    update_period_s: Positive = 0.5  # δ
+    award_rate: NonNegative = 0.4  # κ, points per metre
+
+    beacon_period_s: Positive = 1.0
+    request_period_s: Positive = 1.0
+    repeat_period_s: Positive = 0.5  # of whatever is not yet acknowledged
+    confirm_timeout_s: Positive = 3.0  # of an offer or a lock
+    ack_timeout_s: Positive = 1.5  # the driver stops when acknowledgements are missing for so long
+    lost_timeout_s: Positive = 15.0  # T_lost: then the driver goes on without its rider
+    message_timeout_s: Positive = 5.0  # the rider gives up when the driver says nothing for so long
+    servo_timeout_s: Positive = 2.0  # the rider gives up when it has not seen the marker for so long
+    decouple_timeout_s: Positive = 10.0
+    settle_timeout_s: Positive = 3.0  # for standing still before the relative pose is taken
+    localize_timeout_s: Positive = 5.0
+    robot_timeout_s: Positive = 3.0  # another robot is forgotten when it says nothing for so long
+
+    gap_m: Positive = 0.8  # d2, camera to marker
+    gap_tolerance_m: Positive = 0.10
+    standstill_mps: Positive = 0.02
+    cruise_speed_mps: Positive = 0.6
+    ride_speed_mps: Positive = 0.5
+    overlap_tolerance_m: Positive = 0.3  # two plans that go the same way rarely share their cells
+    handover: Literal["paper", "measured"] = "measured"
+    marker_id: int = 0  # on the own back
+    marker_size_m: Positive = 0.16
