@@ -178,7 +178,7 @@ class DriverMachine(Machine[DriverState]):
         if self.state is not S.ALIGNING or self.offer is None or self.offer.point.marker is None:
             return None
         marker = self._sites.marker(self.offer.point.marker)
-        return ServoCommand("observe", marker.id, marker.size_m)
+        return None if marker is None else ServoCommand("observe", marker.id, marker.size_m)
 
     @property
     def speed_limit_mps(self) -> float:

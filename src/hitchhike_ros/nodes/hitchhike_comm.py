@@ -1,0 +1,272 @@
+"""hitchhike_comm: asks for rides, gives rides, and switches the other modules of its robot (P17 Fig. 8).
+
+Subscribed (in the robot's namespace unless absolute):
+    /hhike_msg/network (std_msgs/String): JSON messages of all robots
+    move_base_simple/goal (geometry_msgs/PoseStamped): where the robot is wanted, in ``map``
+    move_base/cancel (actionlib_msgs/GoalID): withdraw the goal
+    amcl_pose (geometry_msgs/PoseWithCovarianceStamped), odom (nav_msgs/Odometry), map (nav_msgs/OccupancyGrid)
+    new_obstacles (std_msgs/String): boxes that the own slam found
+    navigation/status (std_msgs/String), visual_servoing/observations (std_msgs/String)
+Published:
+    /hhike_msg/network (std_msgs/String)
+    hhike_msg/status (std_msgs/String, latched): which modules are on, where to drive, whom to follow
+    hhike_msg/new_obstacles (std_msgs/String): boxes that a driver handed over
+    hhike_msg/award (std_msgs/String, latched): the points of the newest ride that this robot drove
+    initialpose (geometry_msgs/PoseWithCovarianceStamped): the pose taken over from a driver
+    /diagnostics (diagnostic_msgs/DiagnosticArray)
+Parameters:
+    ~config (path), sections ``hitchhiking`` (protocol.parameters.HitchhikingParams) and ``robot``
+    ~urdf (path): mounts of camera and marker
+    ~world (path): markers and hitchhiking points
+    ~robot_id (string, default: the namespace)
+    ~rate (Hz, 10): steps of the machines
+    and every field of HitchhikingParams, e.g. ~profile (0-100), ~priority (0-20), ~max_wait_s
+TF: none.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import rospy
+from actionlib_msgs.msg import GoalID
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
+from nav_msgs.msg import Odometry as OdometryMsg
+from std_msgs.msg import String
+
+from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.errors import MessageError, PlanningError, SensorDataError
+from hitchhike_ros.geometry import pose_from_matrix
+from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.sites import load_sites
+from hitchhike_ros.planning.global_planner import GlobalPlanner, PlanningParams
+from hitchhike_ros.protocol.inbox import Inbox
+from hitchhike_ros.protocol.machine import (
+    Award,
+    Effect,
+    GoalCancelled,
+    GoalGiven,
+    NavigationReport,
+    Report,
+    Send,
+    Situation,
+    TakeObstacles,
+    TakePose,
+    Tick,
+    stamped,
+)
+from hitchhike_ros.protocol.messages import NewObstacles, encode
+from hitchhike_ros.protocol.observations import decode_observations
+from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.status import Status, encode_status
+from hitchhike_ros.protocol.traveller import Traveller
+from hitchhike_ros.robot_model import RobotLimits, mount
+from hitchhike_ros.ros_io.conversions import (
+    estimate_from_msg,
+    estimate_to_msg,
+    grid_from_msg,
+    odometry_from_msg,
+    pose_from_msg,
+)
+from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, run
+from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+
+# An estimate older than this is no longer the robot's pose (s).
+_ESTIMATE_AGE_S = 1.0
+# Bad messages of one sender are logged once in so long (s).
+_LOG_PERIOD_S = 10.0
+
+
+class HitchhikeComm:
+    """Stores what arrives; one timer steps the traveller and carries out what it wants."""
+
+    def __init__(self) -> None:
+        params = node_parameters(HitchhikingParams, "hitchhiking")
+        limits = node_parameters(RobotLimits, "robot")
+        self._planner = GlobalPlanner(node_parameters(PlanningParams, "planning"), limits)
+        urdf = path_parameter("urdf")
+        camera = pose_from_matrix(mount(urdf, "camera"))
+        robot_id = str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))
+        sites = load_sites(path_parameter("world"))
+        marker_pose = pose_from_matrix(mount(urdf, "marker"))
+        self._traveller = Traveller(
+            robot_id, params, sites, self._plan, marker_pose, (camera.x, camera.y), limits.circumscribed_m
+        )
+        self._inbox = Inbox(robot_id)
+        # Starting from the clock keeps a restarted robot from looking like a replay of its old self.
+        self._seq = int(rospy.Time.now().to_sec() * 1000)
+        self._lock = threading.Lock()
+        self._events: deque[object] = deque()
+        self._grid: OccupancyGrid | None = None
+        self._situation = Situation()
+        self._estimate: PoseEstimate | None = None
+        self._observations: tuple[MarkerObservation, ...] = ()
+        self._published: Status | None = None
+        self._logged: dict[str, float] = {}
+        self._diagnostics = Diagnostics("hitchhike_comm")
+
+        self._network = rospy.Publisher("/hhike_msg/network", String, queue_size=50, tcp_nodelay=True)
+        self._status = rospy.Publisher("hhike_msg/status", String, queue_size=10, latch=True, tcp_nodelay=True)
+        self._obstacles = rospy.Publisher("hhike_msg/new_obstacles", String, queue_size=10)
+        self._award = rospy.Publisher("hhike_msg/award", String, queue_size=10, latch=True)
+        self._initialpose = rospy.Publisher("initialpose", PoseWithCovarianceStamped, queue_size=10)
+        subscriptions: tuple[tuple[str, Any, Any], ...] = (
+            ("/hhike_msg/network", String, self._on_network),
+            ("move_base_simple/goal", PoseStamped, self._on_goal),
+            ("move_base/cancel", GoalID, self._on_cancel),
+            ("amcl_pose", PoseWithCovarianceStamped, self._on_estimate),
+            ("odom", OdometryMsg, self._on_odometry),
+            ("map", OccupancyGridMsg, self._on_map),
+            ("new_obstacles", String, self._on_new_obstacles),
+            ("navigation/status", String, self._on_navigation),
+            ("visual_servoing/observations", String, self._on_observations),
+        )
+        self._subscribers = [
+            rospy.Subscriber(topic, cls, callback, queue_size=50 if cls is String else 1, tcp_nodelay=True)
+            for topic, cls, callback in subscriptions
+        ]
+        self._timer = rospy.Timer(rospy.Duration(1.0 / float(rospy.get_param("~rate", 10.0))), self._step, reset=True)
+
+    # Callbacks store.
+
+    def _on_network(self, msg: String) -> None:
+        try:
+            with self._lock:
+                message = self._inbox.receive(msg.data)
+        except MessageError as exc:
+            self._drop(str(msg._connection_header.get("callerid", "?")), f"network message dropped: {exc}")
+            return
+        if message is not None:
+            with self._lock:
+                self._events.append(message)
+
+    def _on_goal(self, msg: PoseStamped) -> None:
+        goal = pose_from_msg(msg.pose)
+        if not goal.is_finite() or msg.header.frame_id.strip("/") not in ("map", ""):
+            self._drop("goal", f"goal in frame {msg.header.frame_id!r} at {goal}, expected finite and in 'map'")
+            return
+        with self._lock:
+            self._events.append(GoalGiven(goal))
+
+    def _on_cancel(self, _msg: GoalID) -> None:
+        with self._lock:
+            self._events.append(GoalCancelled())
+
+    def _on_estimate(self, msg: PoseWithCovarianceStamped) -> None:
+        with self._lock:
+            self._estimate = estimate_from_msg(msg)
+
+    def _on_odometry(self, msg: OdometryMsg) -> None:
+        try:
+            speed = odometry_from_msg(msg).twist.v
+        except SensorDataError:
+            speed = math.inf  # unknown is not standing still; the modules that drive stop by themselves
+        with self._lock:
+            self._situation = replace(self._situation, speed_mps=speed)
+
+    def _on_map(self, msg: OccupancyGridMsg) -> None:
+        grid = grid_from_msg(msg)
+        with self._lock:
+            self._grid = grid
+
+    def _on_new_obstacles(self, msg: String) -> None:
+        found = self._decode(msg.data, NewObstacles, "new_obstacles")
+        if found is not None:
+            with self._lock:
+                self._situation = replace(self._situation, obstacles=found.obstacles)
+
+    def _on_navigation(self, msg: String) -> None:
+        report = self._decode(msg.data, NavigationReport, "navigation/status")
+        if report is not None:
+            with self._lock:
+                self._situation = replace(self._situation, navigation=report)
+
+    def _on_observations(self, msg: String) -> None:
+        try:
+            observations = decode_observations(msg.data)
+        except MessageError as exc:
+            self._drop("visual_servoing/observations", str(exc))
+            return
+        with self._lock:
+            self._observations = observations
+
+    # The one place that steps the machines.
+
+    def _step(self, _event: rospy.timer.TimerEvent) -> None:
+        now = rospy.Time.now().to_sec()
+        with self._lock:
+            events, self._events = list(self._events), deque()
+            estimate, observations, situation = self._estimate, self._observations, self._situation
+        if estimate is not None and now - estimate.stamp > _ESTIMATE_AGE_S:
+            estimate = None
+        servo = self._traveller.status(now).servo
+        wanted = [o for o in observations if servo is not None and o.marker_id == servo.marker_id]
+        tick = Tick(replace(situation, estimate=estimate, observation=wanted[0] if wanted else None))
+        for event in [*events, tick]:
+            for effect in self._traveller.step(event, now):
+                self._carry_out(effect, now)
+        self._publish_status(self._traveller.status(now))
+
+    def _carry_out(self, effect: Effect, now: float) -> None:
+        if isinstance(effect, Send):
+            self._seq += 1
+            self._network.publish(String(encode(stamped(effect.message, self._seq, now))))
+        elif isinstance(effect, TakePose):
+            self._initialpose.publish(estimate_to_msg(effect.estimate))
+        elif isinstance(effect, TakeObstacles):
+            payload = NewObstacles(obstacles=effect.obstacles)
+            self._obstacles.publish(String(msgspec.json.encode(payload).decode()))
+        elif isinstance(effect, Award):
+            self._award.publish(String(msgspec.json.encode(effect).decode()))
+            rospy.loginfo("%.1f points for %.1f m with %s", effect.points, effect.ride_m, effect.hitchhiker)
+        elif isinstance(effect, Report):
+            rospy.loginfo("%s", effect.text)
+
+    def _publish_status(self, status: Status) -> None:
+        last = self._published
+        if last is None or replace(last, time_stamp=status.time_stamp) != status:
+            self._published = status
+            self._status.publish(String(encode_status(status)))
+        level, message = OK, status.state
+        if self._grid is None:
+            level, message = ERROR, "no map received"
+        self._diagnostics.set(
+            level,
+            message,
+            reason=status.reason,
+            role=status.role,
+            **{f"dropped_{k}": v for k, v in self._inbox.dropped.items()},
+        )
+
+    def _plan(self, start: Pose2D, goal: Pose2D) -> FloatArray:
+        with self._lock:
+            grid = self._grid
+        if grid is None:
+            raise PlanningError("no map received yet")
+        return self._planner.plan(grid, start, goal)
+
+    def _decode(self, text: str, cls: type[Any], topic: str) -> Any:
+        try:
+            return msgspec.json.decode(text, type=cls)
+        except msgspec.MsgspecError as exc:
+            self._drop(topic, f"{topic}: {exc}")
+            return None
+
+    def _drop(self, sender: str, text: str) -> None:
+        """Count a bad message and log it, once per sender and period."""
+        self._diagnostics.count("dropped")
+        now = rospy.Time.now().to_sec()
+        if now - self._logged.get(sender, -math.inf) >= _LOG_PERIOD_S:
+            self._logged[sender] = now
+            rospy.logwarn("from %s: %s", sender, text)
+
+
+def main() -> None:
+    """Entry point of ``rosrun hitchhike_ros hitchhike_comm``."""
+    run("hitchhike_comm", HitchhikeComm)

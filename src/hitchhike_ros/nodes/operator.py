@@ -1,0 +1,105 @@
+"""operator: does in simulation what a person does at the start: says where the robots are and gives them goals.
+
+Each robot of the world file gets its start as ``initialpose``, off by as much as a person's click would be, and once
+it localizes, its goal. The node then ends.
+
+Published, for each robot:
+    /<robot>/initialpose (geometry_msgs/PoseWithCovarianceStamped)
+    /<robot>/move_base_simple/goal (geometry_msgs/PoseStamped)
+Subscribed, for each robot:
+    /<robot>/amcl_pose (geometry_msgs/PoseWithCovarianceStamped)
+Parameters:
+    ~world (path): start and goal of each robot
+    ~robots (string, default all): names, separated by blanks, of the robots that get a goal
+    ~position_sigma_m (0.05), ~heading_sigma_rad (0.03): error of the start poses
+    ~seed (int, 0): of that error
+    ~goals (mapping, default empty): other goals than the world file's, {robot: {x, y, theta}}
+    ~deadline_s (wall time, 120): how long it waits for a robot to localize
+TF: none.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+
+from hitchhike_ros.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.errors import HitchhikeError
+from hitchhike_ros.geometry import compose
+from hitchhike_ros.parameters import convert
+from hitchhike_ros.ros_io.conversions import estimate_to_msg, pose_stamped
+from hitchhike_ros.ros_io.node import run
+from hitchhike_ros.ros_io.parameters import path_parameter
+from hitchhike_ros.simulation.world_file import RobotEntry, load_world
+
+_RETRY_S = 0.5
+
+
+class Operator:
+    """Repeats start pose and goal of each robot until the robot shows that it has them."""
+
+    def __init__(self) -> None:
+        path = path_parameter("world")
+        world = load_world(path)
+        chosen = str(rospy.get_param("~robots", "")).split() or list(world.robots)
+        goals = {
+            name: convert(goal, Pose2D, rospy.get_name(), f"~goals.{name}")
+            for name, goal in dict(rospy.get_param("~goals", {})).items()
+        }
+        random = np.random.default_rng(int(rospy.get_param("~seed", 0)))
+        deadline = time.monotonic() + float(rospy.get_param("~deadline_s", 120.0))
+        robots = [
+            _Robot(name, spec, goals.get(name, spec.goal) if name in chosen else None, random)
+            for name, spec in world.robots.items()
+        ]
+        while not rospy.is_shutdown() and not all([robot.insist() for robot in robots]):
+            if time.monotonic() > deadline:
+                waiting = ", ".join(robot.name for robot in robots if not robot.insist())
+                raise HitchhikeError(f"{waiting}: not ready within ~deadline_s")
+            time.sleep(_RETRY_S)
+        rospy.signal_shutdown("goals given")
+
+
+class _Robot:
+    def __init__(self, name: str, spec: RobotEntry, goal: Pose2D | None, random: np.random.Generator) -> None:
+        self.name = name
+        sigma = np.array(
+            [rospy.get_param("~position_sigma_m", 0.05)] * 2 + [rospy.get_param("~heading_sigma_rad", 0.03)]
+        )
+        error = Pose2D(*(float(v) for v in random.normal(0.0, sigma)))
+        self._start, self._covariance = compose(spec.start, error), np.diag(sigma**2)
+        self._goal = goal
+        self._localized = threading.Event()
+        self._initialpose = rospy.Publisher(f"/{name}/initialpose", PoseWithCovarianceStamped, queue_size=1)
+        self._goal_topic = rospy.Publisher(f"/{name}/move_base_simple/goal", PoseStamped, queue_size=1, latch=True)
+        self._estimates = rospy.Subscriber(f"/{name}/amcl_pose", PoseWithCovarianceStamped, self._on_estimate)
+
+    def insist(self) -> bool:
+        """Say what the robot has not taken yet; whether it has all."""
+        now = rospy.Time.now()
+        if not self._localized.is_set():
+            if self._initialpose.get_num_connections():
+                estimate = PoseEstimate(now.to_sec(), self._start, self._covariance)
+                self._initialpose.publish(estimate_to_msg(estimate))
+            return False
+        if self._goal is None:
+            return True
+        if not self._goal_topic.get_num_connections():
+            return False
+        self._goal_topic.publish(pose_stamped(self._goal, now.to_sec(), "map"))
+        self._goal = None
+        return False  # once more around, so that the message is out before the node ends
+
+    def _on_estimate(self, _msg: PoseWithCovarianceStamped) -> None:
+        self._localized.set()
+
+
+def main() -> None:
+    """Entry point of ``rosrun hitchhike_ros operator``."""
+    run("operator", Operator)
+    sys.exit(0)

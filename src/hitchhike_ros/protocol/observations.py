@@ -1,0 +1,48 @@
+"""``visual_servoing/observations``: the markers of one image as JSON, in the robot's base_footprint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from hitchhike_ros.datatypes import MarkerObservation, Pose2D
+from hitchhike_ros.errors import MessageError
+from hitchhike_ros.protocol.messages import Covariance, covariance_rows
+
+
+@dataclass(frozen=True)
+class _Marker:
+    marker_id: int
+    x: float
+    y: float
+    theta: float
+    covariance: Covariance
+
+
+@dataclass(frozen=True)
+class _Observations:
+    stamp: float
+    markers: tuple[_Marker, ...]
+
+
+def encode_observations(stamp: float, observations: Iterable[MarkerObservation]) -> str:
+    """The markers seen in the image of time ``stamp``; an image without markers is said too."""
+    markers = tuple(
+        _Marker(o.marker_id, o.pose.x, o.pose.y, o.pose.theta, covariance_rows(o.covariance)) for o in observations
+    )
+    return msgspec.json.encode(_Observations(stamp, markers)).decode()
+
+
+def decode_observations(text: str) -> tuple[MarkerObservation, ...]:
+    """Raises MessageError where the text is none."""
+    try:
+        seen = msgspec.json.decode(text, type=_Observations)
+    except msgspec.MsgspecError as exc:
+        raise MessageError(f"visual_servoing/observations: {exc}") from exc
+    return tuple(
+        MarkerObservation(seen.stamp, m.marker_id, Pose2D(m.x, m.y, m.theta), np.array(m.covariance))
+        for m in seen.markers
+    )
