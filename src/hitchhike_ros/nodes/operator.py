@@ -57,10 +57,9 @@ class Operator:
             _Robot(name, spec, goals.get(name, spec.goal) if name in chosen else None, random)
             for name, spec in world.robots.items()
         ]
-        while not rospy.is_shutdown() and not all([robot.insist() for robot in robots]):
+        while not rospy.is_shutdown() and (waiting := [robot.name for robot in robots if not robot.insist()]):
             if time.monotonic() > deadline:
-                waiting = ", ".join(robot.name for robot in robots if not robot.insist())
-                raise HitchhikeError(f"{waiting}: not ready within ~deadline_s")
+                raise HitchhikeError(f"{', '.join(waiting)}: not ready within ~deadline_s")
             time.sleep(_RETRY_S)
         rospy.signal_shutdown("goals given")
 
