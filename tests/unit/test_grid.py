@@ -111,3 +111,10 @@ def test_distance_is_metres_between_centres():
     rows, columns = np.mgrid[0:5, 0:7]
     np.testing.assert_allclose(distance, 0.5 * np.hypot(rows - 2, columns - 1), rtol=1e-6)
     assert np.isinf(distance_to(np.zeros((2, 2), dtype=bool), 0.5)).all()
+
+
+def test_distance_is_the_same_every_time():
+    mask = np.random.default_rng(0).random((41, 61)) < 0.02
+    first = distance_to(mask, 0.1)
+    for _ in range(8):
+        np.testing.assert_array_equal(distance_to(mask.copy(), 0.1), first)
