@@ -82,8 +82,13 @@ def test_on_a_rotated_grid_every_point_of_a_box_is_in_a_marked_cell(theta, x, y,
     corner = transform_points(Pose2D(0, 0, theta), np.array([[-3.0, -3.0]]))[0]
     grid = empty(height=60, width=60, origin=Pose2D(*corner, theta))
     marked = grid.with_obstacles([Obstacle("box", x, y, w, b)])
-    u, v = np.meshgrid(np.linspace(0.001, 0.999, 7), np.linspace(0.001, 0.999, 7))
-    cells = grid.world_to_cell(np.column_stack([x + w * u.ravel(), y + b * v.ravel()]))
+
+    def spread(length: float) -> np.ndarray:
+        """Places along a side; less than a thousandth of a cell does not count as overlap, so not its very ends."""
+        return np.linspace(min(0.001, length / 2), max(length - 0.001, length / 2), 7)
+
+    u, v = np.meshgrid(x + spread(w), y + spread(b))
+    cells = grid.world_to_cell(np.column_stack([u.ravel(), v.ravel()]))
     assert (marked.data[tuple(cells.T)] == OCCUPIED).all()
     reach = np.abs(marked.cell_to_world(np.argwhere(marked.occupied)) - [x + w / 2, y + b / 2])
     assert (reach <= np.array([w, b]) / 2 + 0.1).all(), "no cell is marked that lies a whole cell beside the box"
