@@ -1,0 +1,110 @@
+"""What robots may know of a world file: markers at known places and the hitchhiking points (P17 §3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from hitchhike_ros.datatypes import HitchhikingPoint, Marker
+from hitchhike_ros.errors import WorldFileError
+from hitchhike_ros.geometry import point_in_polygon
+from hitchhike_ros.parameters import convert, read_yaml
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Markers on walls and pillars, and the places where robots couple, all in ``map``."""
+
+    markers: tuple[Marker, ...] = ()
+    hitchhiking_points: tuple[HitchhikingPoint, ...] = ()
+
+    def marker(self, marker_id: int) -> Marker | None:
+        """The marker of that id, or None."""
+        return next((marker for marker in self.markers if marker.id == marker_id), None)
+
+    def hitchhiking_point_at(self, x: float, y: float) -> HitchhikingPoint | None:
+        """The hitchhiking point whose area holds (x, y) in ``map``, or None."""
+        return next((point for point in self.hitchhiking_points if point_in_polygon(x, y, point.area)), None)
+
+
+def load_sites(path: Path | str) -> Sites:
+    """Markers and hitchhiking points of a world file; whatever else it holds is ignored.
+
+    Raises:
+        WorldFileError: names the file, the field, its value and what was expected.
+    """
+    return parse_sites(read_yaml(path, WorldFileError), path)
+
+
+def parse_sites(content: Mapping[str, Any], path: Path | str) -> Sites:
+    """As :func:`load_sites`, from a world file that is already read.
+
+    Raises:
+        WorldFileError: as :func:`load_sites`.
+    """
+    markers = read_list(content, "markers", Marker, path)
+    points = read_list(content, "hitchhiking_points", HitchhikingPoint, path)
+    require_unique((m.id for m in markers), "markers", "id", path)
+    require_unique((p.name for p in points), "hitchhiking_points", "name", path)
+    known = {marker.id for marker in markers}
+    for i, point in enumerate(points):
+        field = f"hitchhiking_points[{i}]"
+        if len(point.area) < 3:
+            raise WorldFileError(path, f"{field}.area", point.area, "a polygon of at least three corners [x, y]")
+        if point.marker is not None and point.marker not in known:
+            raise WorldFileError(path, f"{field}.marker", point.marker, "the id of one of the markers")
+        for name in ("aligning_pose", "waiting_pose"):
+            pose = getattr(point, name)
+            if not point_in_polygon(pose.x, pose.y, point.area):
+                raise WorldFileError(path, f"{field}.{name}", (pose.x, pose.y), "a pose inside the area")
+    return Sites(markers, points)
+
+
+def read_list(content: Mapping[str, Any], key: str, cls: type[T], path: Path | str) -> tuple[T, ...]:
+    """The list ``content[key]`` (missing: empty) as checked ``cls`` with finite numbers.
+
+    Raises:
+        WorldFileError: as :func:`load_sites`.
+    """
+    entries = content.get(key) or []
+    if not isinstance(entries, list):
+        raise WorldFileError(path, key, entries, "a list")
+    return tuple(read_entry(entry, cls, path, f"{key}[{i}]") for i, entry in enumerate(entries))
+
+
+def read_entry(value: object, cls: type[T], path: Path | str, field: str) -> T:
+    """``value`` as a checked ``cls`` whose numbers are all finite.
+
+    Raises:
+        WorldFileError: as :func:`load_sites`.
+    """
+    entry = convert(value, cls, path, field, WorldFileError)
+    for name, number in _numbers(entry, field):
+        if not math.isfinite(number):
+            raise WorldFileError(path, name, number, "a finite number")
+    return entry
+
+
+def require_unique(values: Iterable[object], key: str, field: str, path: Path | str) -> None:
+    """Raises WorldFileError when a value comes twice."""
+    seen = set()
+    for i, value in enumerate(values):
+        if value in seen:
+            raise WorldFileError(path, f"{key}[{i}].{field}", value, "a value that no other entry has")
+        seen.add(value)
+
+
+def _numbers(value: object, name: str) -> Iterable[tuple[str, float]]:
+    if isinstance(value, float):
+        yield name, value
+    elif isinstance(value, tuple):
+        for i, item in enumerate(value):
+            yield from _numbers(item, f"{name}[{i}]")
+    elif is_dataclass(value):
+        for f in fields(value):
+            yield from _numbers(getattr(value, f.name), f"{name}.{f.name}")

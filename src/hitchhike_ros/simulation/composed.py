@@ -1,0 +1,253 @@
+"""The simulated world and the robots' cores in one process, stepped in turn on the simulated clock.
+
+No ROS, no threads: deterministic and faster than the nodes, for benchmarks and anything with many seeds. The wiring is
+that of the nodes, and a test compares the two on one ride.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+
+from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
+from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
+from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate
+from hitchhike_ros.errors import PlanningError
+from hitchhike_ros.geometry import pose_from_matrix
+from hitchhike_ros.localization.localizer import EkfLocalizer, LocalizerParameters
+from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.new_obstacles import NewObstacleMapper, NewObstaclesParameters
+from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.parameters import load_parameters
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
+from hitchhike_ros.protocol.inbox import Inbox
+from hitchhike_ros.protocol.machine import (
+    Award,
+    Effect,
+    GoalGiven,
+    NavigationReport,
+    Send,
+    Situation,
+    TakeObstacles,
+    TakePose,
+    Tick,
+    stamped,
+)
+from hitchhike_ros.protocol.messages import encode
+from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.status import GoalCommand, Status
+from hitchhike_ros.protocol.traveller import Traveller
+from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
+from hitchhike_ros.servoing.follow import FollowLaw, FollowParameters
+from hitchhike_ros.servoing.marker_detector import MarkerDetector, MarkerDetectorParameters
+from hitchhike_ros.simulation.robot import SimulatedRobot
+from hitchhike_ros.simulation.world import World
+
+FRAME_RATE_HZ = 10
+ODOMETRY_PER_FRAME = 2
+
+
+class ComposedRobot:
+    """One robot's cores around its simulated body."""
+
+    def __init__(self, body: SimulatedRobot, grid: OccupancyGrid, sites: Sites, package: Path, model: str) -> None:
+        config, mounts = package / "config" / f"{model}.yaml", fixed_transforms(package / "urdf" / f"{model}.urdf")
+        self.name, self.body = body.name, body
+        self.limits = load_parameters(RobotLimits, "robot", config)
+        self._T_base_laser = pose_from_matrix(mounts["laser"])
+        self._T_base_camera = mounts["camera_optical"]
+        self._grid = grid
+        self._localizer = EkfLocalizer(
+            grid, sites.markers, load_parameters(LocalizerParameters, "localization", config), self._T_base_laser
+        )
+        self.mapper = NewObstacleMapper(grid, load_parameters(NewObstaclesParameters, "new_obstacles", config))
+        self._planner = GlobalPlanner(load_parameters(GlobalPlannerParams, "global_planner", config), self.limits)
+        avoidance = load_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance", config)
+        self._avoidance = ObstacleAvoidance(self.limits, avoidance)
+        self._mux = VelocityMux(load_parameters(VelocityMuxParameters, "velocity_mux", config), self.limits)
+        self._detector = MarkerDetector(load_parameters(MarkerDetectorParameters, "marker_detector", config))
+        self._follow = FollowLaw(load_parameters(FollowParameters, "follow", config), self.limits)
+        camera = pose_from_matrix(mounts["camera"])
+        params = load_parameters(HitchhikingParams, "hitchhiking", config)
+        self.traveller = Traveller(
+            self.name,
+            params,
+            sites,
+            lambda start, goal: self._planner.plan(self.map, start, goal),
+            pose_from_matrix(mounts["marker"]),
+            (camera.x, camera.y),
+            self.limits.circumscribed_m,
+        )
+        self.inbox = Inbox(self.name)
+        self.status: Status = self.traveller.status(0.0)
+        self.estimate: PoseEstimate | None = None
+        self.awards: list[Award] = []
+        self.taken: list[PoseEstimate] = []
+        self._map, self._mapped = grid, self.mapper.obstacles
+        self._order: GoalCommand | None = None
+        self._planned_on: OccupancyGrid | None = None
+        self._report: NavigationReport | None = None
+        self._observations: list[MarkerObservation] = []
+        self._seq = 0
+
+    @property
+    def map(self) -> OccupancyGrid:
+        """The robot's own map with the boxes it knows."""
+        if self._mapped != self.mapper.obstacles:
+            self._mapped = self.mapper.obstacles
+            self._map = self._grid.with_obstacles(self._mapped)
+        return self._map
+
+    def sense_odometry(self, odometry: Odometry) -> None:
+        """The wheels' reading; localization counts it even while it is off, so that it can start again."""
+        self._localizer.predict(odometry)
+
+    def sense_scan(self, scan: LaserScan, now: float) -> None:
+        """Localize, map and drive by one scan, as far as these are on."""
+        modules = self.status.modules
+        if modules.LZN and self._localizer.initialised:
+            self._localizer.update_scan(scan)
+            self._localizer.update_markers(self._observations)
+            self.estimate = self._localizer.estimate_at(scan.stamp)
+        elif not modules.LZN:
+            self.estimate = None
+        if self.estimate is None:
+            return
+        if modules.MAP:
+            others = [(Pose2D(r.x, r.y), r.radius_m) for r in self.status.robots]
+            self.mapper.update(scan, self.estimate, self._T_base_laser, others)
+        if modules.PP:
+            self._plan(self.estimate.pose)
+        if modules.OBS:
+            self._avoid(scan, now, self.estimate.pose)
+
+    def sense_image(self, now: float) -> None:
+        """Look for markers, and follow, when servoing is on."""
+        servo = self.status.servo
+        self._observations = []
+        if servo is None:
+            return
+        gray = cv2.cvtColor(self.body.camera(), cv2.COLOR_RGB2GRAY)
+        sizes = {servo.marker_id: servo.marker_size_m}
+        found = self._detector.detect(gray, self.body.camera_info, sizes)
+        self._observations = self._detector.observe(found, self._T_base_camera, now)
+        if servo.task == "follow":
+            seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
+            decision = self._follow.step(now, seen, self.body.odometry(), servo.gap_m, servo.feed_forward_mps)
+            self._mux.command("servoing", decision.twist, now)
+
+    def tick(self, now: float, send: Callable[[str], None], event: object = None) -> None:
+        """Step the protocol with ``event`` or the passing of time, and carry out what it wants."""
+        servo = self.status.servo
+        seen = [o for o in self._observations if servo is not None and o.marker_id == servo.marker_id]
+        situation = Situation(
+            self.estimate,
+            self.body.odometry().twist.v,
+            self.mapper.obstacles,
+            self._report,
+            seen[0] if seen else None,
+        )
+        for effect in self.traveller.step(Tick(situation) if event is None else event, now):
+            self._carry_out(effect, now, send)
+        self.status = self.traveller.status(now)
+        if self.status.goal is None:
+            self._order, self._report = None, None
+            self._avoidance.clear()
+
+    def drive(self, now: float) -> None:
+        """Pass the velocity command on to the wheels."""
+        self.body.command(self._mux.step(now), now)
+
+    def start(self, estimate: PoseEstimate) -> None:
+        """Where an operator says that the robot is."""
+        self._localizer.initialise(estimate)
+
+    def _carry_out(self, effect: Effect, now: float, send: Callable[[str], None]) -> None:
+        if isinstance(effect, Send):
+            self._seq += 1
+            send(encode(stamped(effect.message, self._seq, now)))
+        elif isinstance(effect, TakePose):
+            self.taken.append(effect.estimate)
+            self._localizer.initialise(effect.estimate)
+        elif isinstance(effect, TakeObstacles):
+            self.mapper.add(effect.obstacles)
+        elif isinstance(effect, Award):
+            self.awards.append(effect)
+
+    def _plan(self, pose: Pose2D) -> None:
+        goal = self.status.goal
+        blocked = self._report is not None and self._report.state == "blocked"
+        if goal is None or (goal == self._order and self._planned_on is self.map and not blocked):
+            return
+        self._order, self._planned_on = goal, self.map
+        try:
+            path = self._planner.plan(self.map, pose, goal.pose)
+        except PlanningError as exc:
+            self._report = NavigationReport(goal.id, "failed", str(exc))
+            return
+        self._avoidance.set_path(path, goal.pose, goal.tolerance_m, goal.tolerance_rad)
+        self._report = NavigationReport(goal.id, "driving")
+
+    def _avoid(self, scan: LaserScan, now: float, pose: Pose2D) -> None:
+        goal = self.status.goal
+        if goal is None or goal != self._order or (self._report is not None and self._report.state == "failed"):
+            return
+        twist = self.body.odometry().twist
+        limit = self.status.speed_limit_mps or self.limits.max_speed_mps
+        decision = self._avoidance.step(now, pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider)
+        self._report = NavigationReport(goal.id, decision.state, decision.reason)
+        self._mux.command("navigation", decision.twist, now)
+
+
+@dataclass
+class ComposedRide:
+    """A world file's robots under way to their goals; :meth:`step` advances one sensor frame."""
+
+    world: World
+    package: Path
+    robots: dict[str, ComposedRobot] = field(default_factory=dict)
+    messages: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for name, entry in self.world.file.robots.items():
+            robot = ComposedRobot(
+                self.world.robots[name], self.world.grid, self.world.file.sites, self.package, entry.model
+            )
+            self.robots[name] = robot
+
+    def start(self, estimates: dict[str, PoseEstimate]) -> None:
+        """Tell every robot where it is and where it is wanted."""
+        for name, robot in self.robots.items():
+            robot.sense_odometry(self.world.robots[name].odometry())
+            robot.start(replace(estimates[name], stamp=self.world.now))
+            goal = self.world.file.robots[name].goal
+            if goal is not None:
+                robot.tick(self.world.now, self._broadcast, GoalGiven(goal))
+
+    def step(self) -> None:
+        """One frame: physics, odometry, scans, images, protocol."""
+        steps = self.world.params.physics_rate_hz // FRAME_RATE_HZ // ODOMETRY_PER_FRAME
+        for _ in range(ODOMETRY_PER_FRAME):
+            for _ in range(steps):
+                self.world.step()
+            for robot in self.robots.values():
+                robot.sense_odometry(robot.body.odometry())
+                robot.drive(self.world.now)
+        now = self.world.now
+        for robot in self.robots.values():
+            robot.sense_image(now)
+            robot.sense_scan(robot.body.scan(now), now)
+        inbox, self.messages = self.messages, []
+        for robot in self.robots.values():
+            for text in inbox:
+                message = robot.inbox.receive(text)
+                if message is not None:
+                    robot.tick(now, self._broadcast, message)
+            robot.tick(now, self._broadcast)
+            robot.drive(now)
+
+    def _broadcast(self, text: str) -> None:
+        self.messages.append(text)

@@ -1,0 +1,95 @@
+"""World files: what the simulator builds beside a map. Robots read less of it, by ``mapping.sites``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+from hitchhike_ros.datatypes import Obstacle, Pose2D, Positive
+from hitchhike_ros.errors import WorldFileError
+from hitchhike_ros.mapping.sites import Sites, parse_sites, read_entry, read_list, require_unique
+from hitchhike_ros.parameters import convert, read_yaml
+
+
+@dataclass(frozen=True)
+class Box(Obstacle):
+    """A box that stands on the floor and is not in the map."""
+
+    height_m: Positive = 0.3
+
+
+@dataclass(frozen=True)
+class RobotEntry:
+    """A robot: its model (``urdf/<model>.urdf``, ``config/<model>.yaml``), where it starts, where a ride takes it, and
+    the id of the marker on its back (None: the plate stays blank)."""
+
+    model: str
+    start: Pose2D
+    goal: Pose2D | None = None
+    marker: int | None = None
+
+
+@dataclass(frozen=True)
+class WorldFile:
+    """Everything in a world file; ``map`` is the path of the map_server YAML."""
+
+    path: Path
+    map: Path
+    robots: Mapping[str, RobotEntry]
+    wall_height_m: float = 1.0
+    boxes: tuple[Box, ...] = ()
+    sites: Sites = field(default_factory=Sites)
+
+
+@dataclass(frozen=True)
+class _Scalars:
+    map: str
+    wall_height_m: Positive = 1.0
+
+
+def load_world(path: Path | str) -> WorldFile:
+    """A world file, checked. A relative ``map`` starts at the world file's folder.
+
+    Raises:
+        WorldFileError: names the file, the field, its value and what was expected.
+    """
+    path = Path(path)
+    content = read_yaml(path, WorldFileError)
+    known = {f.name for f in fields(_Scalars)} | {"boxes", "markers", "hitchhiking_points", "robots"}
+    for key in content:
+        if key not in known:
+            raise WorldFileError(path, str(key), content[key], f"one of the fields {', '.join(sorted(known))}")
+    if "map" not in content:
+        raise WorldFileError(path, "map", None, "the path of a map_server YAML file")
+    scalars = convert(
+        {f.name: content[f.name] for f in fields(_Scalars) if f.name in content}, _Scalars, path, error=WorldFileError
+    )
+    map_file = path.parent / scalars.map
+    if not map_file.is_file():
+        raise WorldFileError(path, "map", scalars.map, f"the path of a map_server YAML file; {map_file} is not one")
+    boxes = read_list(content, "boxes", Box, path)
+    require_unique((box.id for box in boxes), "boxes", "id", path)
+    for i, box in enumerate(boxes):
+        check_box(box, path, f"boxes[{i}]")
+    return WorldFile(
+        path, map_file, _robots(content.get("robots"), path), scalars.wall_height_m, boxes, parse_sites(content, path)
+    )
+
+
+def check_box(box: Box, path: Path | str, field_name: str) -> None:
+    """Raises WorldFileError for a box without extent."""
+    for name in ("w", "b"):
+        if getattr(box, name) <= 0.0:
+            raise WorldFileError(path, f"{field_name}.{name}", getattr(box, name), "more than 0 m")
+
+
+def _robots(value: object, path: Path) -> dict[str, RobotEntry]:
+    if not isinstance(value, dict) or not value:
+        raise WorldFileError(path, "robots", value, "a mapping from robot names to model and start")
+    robots = {}
+    for name, entry in value.items():
+        if not isinstance(name, str) or not name.isidentifier():
+            raise WorldFileError(path, "robots", name, "a robot name of letters, digits and _ (it is a ROS namespace)")
+        robots[name] = read_entry(entry, RobotEntry, path, f"robots.{name}")
+    return robots
