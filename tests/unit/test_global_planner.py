@@ -166,6 +166,21 @@ def test_smoothing_shortens_and_gives_up_no_more_than_a_cell_of_clearance():
     assert sharpest_turn(smooth) < math.pi / 8
 
 
+@given(st.floats(0.05, 5.95), st.floats(0.05, 3.95), st.floats(0.0, 2.0))
+@settings(max_examples=60, deadline=None)
+def test_a_relaxed_goal_is_the_nearest_place_to_stand_within_tolerance(x, y, tolerance):
+    grid, its, goal = room().with_obstacles([Obstacle("box", 2.0, 1.0, 1.5, 1.5)]), planner(), Pose2D(x, y, 1.0)
+    cost, found = its.costmap(grid).cost, its.relax(grid, goal, tolerance)
+    free = grid.cell_to_world(np.argwhere(np.isfinite(cost)))
+    away = np.hypot(*(free - [x, y]).T).min()
+    if np.isfinite(cost[tuple(grid.world_to_cell([x, y])[0])]) or away > tolerance:
+        assert found == goal
+    else:
+        assert math.hypot(found.x - x, found.y - y) == pytest.approx(away)
+        assert found.theta == goal.theta
+        assert len(its.plan(grid, Pose2D(1.0, 0.5), found)) > 1
+
+
 def test_willow_garage(shared_data):
     path = shared_data / "maps" / "willow-2010-02-18-0.10.yaml"
     if not path.exists():

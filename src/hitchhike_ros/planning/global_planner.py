@@ -33,9 +33,29 @@ class GlobalPlanner:
 
     def costmap(self, grid: OccupancyGrid) -> Costmap:
         """The inflated ``grid``; computed once for the same grid object."""
-        if self._costmap is None or self._costmap.grid is not grid:
-            self._costmap = build_costmap(grid, self._limits, self._params)
-        return self._costmap
+        costmap = self._costmap  # read once: another thread may plan on another grid
+        if costmap is None or costmap.grid is not grid:
+            costmap = self._costmap = build_costmap(grid, self._limits, self._params)
+        return costmap
+
+    def relax(self, grid: OccupancyGrid, goal: Pose2D, tolerance_m: float) -> Pose2D:
+        """``goal``, or the nearest place where the robot may stand, if ``goal`` is none and one is within tolerance.
+
+        Raises:
+            OutsideMapError: the goal is not on the map (or not finite).
+        """
+        cost, cell = self.costmap(grid).cost, _cell(grid, "goal", goal)
+        if np.isfinite(cost[cell]):
+            return goal
+        reach = int(min(tolerance_m / grid.resolution, max(cost.shape))) + 1
+        low = np.maximum(np.array(cell) - reach, 0)
+        window = cost[low[0] : cell[0] + reach + 1, low[1] : cell[1] + reach + 1]
+        places = grid.cell_to_world(np.argwhere(np.isfinite(window)) + low)
+        away = np.hypot(*(places - [goal.x, goal.y]).T)
+        if not len(away) or away.min() > tolerance_m:
+            return goal
+        x, y = places[away.argmin()]
+        return Pose2D(float(x), float(y), goal.theta)
 
     def plan(self, grid: OccupancyGrid, start: Pose2D, goal: Pose2D) -> FloatArray:
         """The path (N, 2) in m in ``map``, N >= 2, from exactly ``start`` to exactly ``goal``, about a cell a step.
