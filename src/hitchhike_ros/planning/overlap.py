@@ -29,7 +29,7 @@ class Overlap:
     end_b_m: float = 0.0
 
 
-def common_stretch(path_a: FloatArray, path_b: FloatArray, tolerance_m: float, gap_m: float = 1.0) -> Overlap:
+def common_stretch(path_a: FloatArray, path_b: FloatArray, tolerance_m: float, gap_m: float = 3.0) -> Overlap:
     """The longest stretch along ``path_a`` on which ``path_b`` runs beside it in the same direction.
 
     The papers intersect the nodes of two A* paths, Q_d ∩ Q_h, and take its farthest (P17 §3.1) or nearest node
@@ -41,7 +41,7 @@ def common_stretch(path_a: FloatArray, path_b: FloatArray, tolerance_m: float, g
     Args:
         path_a, path_b: (N, 2) and (M, 2) in m in ``map``, in the order of travel.
         tolerance_m: how far apart paths in line still share a stretch, > 0.
-        gap_m: longest interruption of a stretch.
+        gap_m: longest interruption of a stretch (the default is chosen: less than a way round a block of rooms).
     """
     step = tolerance_m / 5.0
     arcs_a, poses_a = _sample(path_a, step, tolerance_m)
