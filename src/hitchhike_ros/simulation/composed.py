@@ -69,8 +69,8 @@ class ComposedRobot:
         self._avoidance = ObstacleAvoidance(self.limits, avoidance)
         self._mux = VelocityMux(load_parameters(VelocityMuxParameters, "velocity_mux", config), self.limits)
         self._detector = MarkerDetector(load_parameters(MarkerDetectorParameters, "marker_detector", config))
-        self._follow = FollowLaw(load_parameters(FollowParameters, "follow", config), self.limits)
         camera = pose_from_matrix(mounts["camera"])
+        self._follow = FollowLaw(load_parameters(FollowParameters, "follow", config), self.limits, camera.x)
         params = load_parameters(HitchhikingParams, "hitchhiking", config)
         self.traveller = Traveller(
             self.name,
@@ -104,6 +104,7 @@ class ComposedRobot:
     def sense_odometry(self, odometry: Odometry) -> None:
         """The wheels' reading; localization counts it even while it is off, so that it can start again."""
         self._localizer.predict(odometry)
+        self._follow.add_odometry(odometry)
 
     def sense_scan(self, scan: LaserScan, now: float) -> None:
         """Localize, map and drive by one scan, as far as these are on."""
@@ -135,9 +136,10 @@ class ComposedRobot:
         found = self._detector.detect(gray, self.body.camera_info, sizes)
         self._observations = self._detector.observe(found, self._T_base_camera, now)
         if servo.task == "follow":
-            seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
-            decision = self._follow.step(now, seen, self.body.odometry(), servo.gap_m, servo.feed_forward_mps)
-            self._mux.command("servoing", decision.twist, now)
+            for seen in self._observations:
+                if seen.marker_id == servo.marker_id:
+                    self._follow.see(seen, servo.feed_forward_mps)
+            self._mux.command("servoing", self._follow.step(now, servo.gap_m).twist, now)
 
     def tick(self, now: float, send: Callable[[str], None], event: object = None) -> None:
         """Step the protocol with ``event`` or the passing of time, and carry out what it wants."""

@@ -20,9 +20,6 @@ DICTIONARIES = {
 }
 # White cells around the black edge: one is enough for detectors, two leave room for a blurred edge (chosen).
 QUIET_CELLS = 2
-# The picture floats this far before its plate or wall, so that the renderer does not mix the two.
-_GAP_M = 0.001
-
 
 def tag_image(family: str, tag_id: int, pixels_per_cell: int = 24) -> tuple[npt.NDArray[np.uint8], float]:
     """An upright tag with its white border, (N, N) grey, and the ratio of the picture's side to the black square's.
@@ -41,8 +38,11 @@ def tag_image(family: str, tag_id: int, pixels_per_cell: int = 24) -> tuple[npt.
     return picture, 1.0 + 2.0 * QUIET_CELLS / cells
 
 
-def write_tag(marker: Marker, folder: Path) -> tuple[Path, Path]:
+def write_tag(marker: Marker, folder: Path, board_m: float = 0.0) -> tuple[Path, Path]:
     """A mesh (OBJ) in the marker's frame (x outward normal, z up) and its picture (PNG), seen from outside only.
+
+    ``board_m`` is the thickness of the board it is printed on: the EGL renderer's depth has 16 bits, so what lies
+    closer than some millimetres behind the picture would shine through it.
 
     Raises:
         VisionError: as :func:`tag_image`.
@@ -54,7 +54,7 @@ def write_tag(marker: Marker, folder: Path) -> tuple[Path, Path]:
     cv2.imwrite(str(image), picture)
     # Who looks along -x with z up has +y to the right: there the picture's right edge (u = 1) belongs.
     corners = ((-half, -half, 0, 0), (half, -half, 1, 0), (half, half, 1, 1), (-half, half, 0, 1))
-    lines = [f"v {_GAP_M} {y} {z}" for y, z, _, _ in corners]
+    lines = [f"v {board_m} {y} {z}" for y, z, _, _ in corners]
     lines += [f"vt {u} {v}" for _, _, u, v in corners]
     lines += ["vn 1 0 0", "f 1/1/1 2/2/1 3/3/1", "f 1/1/1 3/3/1 4/4/1"]
     mesh.write_text("\n".join(lines) + "\n", encoding="ascii")
@@ -64,4 +64,7 @@ def write_tag(marker: Marker, folder: Path) -> tuple[Path, Path]:
 def paste(client: int, body: int, link: int, image: Path) -> None:
     """Put the picture of :func:`write_tag` on its mesh, the visual shape of a body's link."""
     texture = p.loadTexture(str(image), physicsClientId=client)
-    p.changeVisualShape(body, link, textureUniqueId=texture, rgbaColor=[1.0] * 4, physicsClientId=client)
+    matte = [0.0, 0.0, 0.0]
+    p.changeVisualShape(
+        body, link, textureUniqueId=texture, rgbaColor=[1.0] * 4, specularColor=matte, physicsClientId=client
+    )

@@ -32,6 +32,8 @@ Steps = Annotated[int, msgspec.Meta(ge=1)]
 _WALL_COLOUR = (0.86, 0.85, 0.80, 1.0)
 _FLOOR_COLOUR = (0.52, 0.54, 0.56, 1.0)
 _BOX_COLOUR = (0.72, 0.52, 0.30, 1.0)
+# Markers of the world are printed on boards this thick, so that they may be placed on a wall's face.
+_BOARD_M = 0.005
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ class World:
             raise WorldFileError("add_box", "id", box.id, "an id that no box has")
         half = [box.w / 2, box.b / 2, box.height_m / 2]
         shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
-        look = p.createVisualShape(p.GEOM_BOX, halfExtents=half, rgbaColor=_BOX_COLOUR, physicsClientId=self.client)
+        look = p.createVisualShape(p.GEOM_BOX, halfExtents=half, **_paint(_BOX_COLOUR), physicsClientId=self.client)
         body = self._add_static(shape, look, [box.x + half[0], box.y + half[1], half[2]])
         self._boxes[box.id] = (box, body)
         self._names[body] = box.id
@@ -194,7 +196,7 @@ class World:
         middle = corners.mean(axis=0).tolist()
         plane = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=self.client)
         look = p.createVisualShape(
-            p.GEOM_BOX, halfExtents=half, rgbaColor=_FLOOR_COLOUR, visualFramePosition=[*middle, -half[2]],
+            p.GEOM_BOX, halfExtents=half, **_paint(_FLOOR_COLOUR), visualFramePosition=[*middle, -half[2]],
             physicsClientId=self.client,
         )  # fmt: skip
         floor = self._add_static(plane, look, [0.0, 0.0, 0.0])
@@ -212,11 +214,11 @@ class World:
         )  # fmt: skip
         file = folder / "walls.obj"  # the EGL renderer reads meshes from files only
         write_obj(file, vertices, normals, triangles)
-        look = p.createVisualShape(p.GEOM_MESH, fileName=str(file), rgbaColor=_WALL_COLOUR, physicsClientId=self.client)
+        look = p.createVisualShape(p.GEOM_MESH, fileName=str(file), **_paint(_WALL_COLOUR), physicsClientId=self.client)
         self._names[self._add_static(shape, look, [0.0, 0.0, 0.0])] = "walls"
 
     def _add_marker(self, marker: Marker, folder: Path) -> None:
-        mesh, image = write_tag(marker, folder)
+        mesh, image = write_tag(marker, folder, _BOARD_M)
         look = p.createVisualShape(p.GEOM_MESH, fileName=str(mesh), physicsClientId=self.client)
         body = self._add_static(-1, look, [marker.x, marker.y, marker.z], marker.yaw)
         paste(self.client, body, -1, image)
@@ -240,3 +242,7 @@ class World:
             if self.now - self._touching.get(touch, -math.inf) > self.params.contact_gap_s:
                 robot.contact_log.append(Contact(self.now, robot.name, other, point[5][0], point[5][1]))
             self._touching[touch] = self.now
+
+
+def _paint(rgba: tuple[float, float, float, float]) -> dict[str, tuple[float, ...]]:
+    return {"rgbaColor": rgba, "specularColor": (0.0, 0.0, 0.0)}
