@@ -164,7 +164,7 @@ class MarkerDetector:
 
     def _solve(self, corners: FloatArray, camera_info: CameraInfo, size_m: float) -> tuple[PoseSolution, ...]:
         K = camera_info.K
-        points = cv2.undistortPoints(corners[:, None, :], K, camera_info.D)[:, 0, :]
+        points = np.asarray(cv2.undistortPoints(corners[:, None, :], K, camera_info.D)[:, 0, :], dtype=float)
         sigma = self.params.corner_sigma_px / math.sqrt(K[0, 0] * K[1, 1])
         solutions = []
         for T_camera_tag, residual in _visp_tracker.square_poses(points, size_m):
