@@ -14,7 +14,8 @@ class Inbox:
     def __init__(self, robot_id: str) -> None:
         self.dropped: Counter[str] = Counter()
         self._robot_id = robot_id
-        self._newest: dict[str, int] = {}
+        # Time first: a robot that restarts counts from anew.
+        self._newest: dict[str, tuple[float, int]] = {}
 
     def receive(self, text: str) -> Message | None:
         """The message, or None where it is the robot's own or meant for another.
@@ -29,8 +30,12 @@ class Inbox:
             raise
         if message.robot_id == self._robot_id or message.to not in (self._robot_id, EVERYBODY):
             return None
-        if message.seq <= self._newest.get(message.robot_id, -1):
+        order = (message.time_stamp, message.seq)
+        if message.robot_id in self._newest and order <= self._newest[message.robot_id]:
             self.dropped["replayed"] += 1
-            raise MessageError(f"{message.type}: seq {message.seq} of {message.robot_id} is not newer than the last")
-        self._newest[message.robot_id] = message.seq
+            raise MessageError(
+                f"{message.type}: seq {message.seq} at {message.time_stamp} of {message.robot_id} "
+                f"is not newer than its last"
+            )
+        self._newest[message.robot_id] = order
         return message

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Annotated, ClassVar
 
 import msgspec
+import numpy as np
 
 from hitchhike_ros.datatypes import NonNegative, Obstacle, Pose2D, Positive
 from hitchhike_ros.errors import MessageError
@@ -204,7 +205,8 @@ MESSAGE_TYPES: dict[str, type[Message]] = {
 
 def encode(message: Message) -> str:
     """``message`` as JSON."""
-    return msgspec.json.encode({"version": VERSION, "type": message.type, **msgspec.to_builtins(message)}).decode()
+    content = msgspec.to_builtins(message, enc_hook=float)  # NumPy's scalars are no floats to msgspec
+    return msgspec.json.encode({"version": VERSION, "type": message.type, **content}).decode()
 
 
 def decode(text: str) -> Message:
@@ -216,7 +218,7 @@ def decode(text: str) -> Message:
     """
     try:
         content = msgspec.json.decode(text)
-    except (msgspec.DecodeError, UnicodeEncodeError) as exc:
+    except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as exc:
         raise MessageError(f"not JSON: {exc}") from exc
     if not isinstance(content, dict):
         raise MessageError(f"not a JSON object but {type(content).__name__}")
@@ -230,9 +232,14 @@ def decode(text: str) -> Message:
         message = msgspec.convert(content, cls, strict=False)
     except msgspec.ValidationError as exc:
         raise MessageError(f"{kind}: {exc}") from exc
+    for f in fields(message):  # a pose stands elsewhere for "nowhere in particular", here it is all or nothing
+        if isinstance(getattr(message, f.name), Pose2D) and not {"x", "y", "theta"} <= set(content[f.name]):
+            raise MessageError(f"{kind}: {f.name} is {content[f.name]}, expected x, y and theta")
     for name, value in _floats(message):
         if not math.isfinite(value):
             raise MessageError(f"{kind}: {name} is {value}, expected a finite number")
+    if isinstance(message, Driver | Decouple) and not _is_covariance(message.sigma):
+        raise MessageError(f"{kind}: sigma is {message.sigma}, expected symmetric and positive semidefinite")
     return message
 
 
@@ -240,6 +247,13 @@ def covariance_rows(covariance: object) -> Covariance:
     """A 3 x 3 array as the nested tuple that messages carry."""
     rows = [tuple(float(v) for v in row) for row in covariance]  # type: ignore[attr-defined]
     return msgspec.convert(rows, Covariance)
+
+
+def _is_covariance(sigma: Covariance) -> bool:
+    """Zero is one (P17 §6.1 starts with it); rounding in the last digits is let through."""
+    matrix = np.array(sigma)
+    scaled = matrix / (np.abs(matrix).max() or 1.0)
+    return bool(np.abs(scaled - scaled.T).max() <= 1e-9 and np.linalg.eigvalsh(scaled)[0] >= -1e-9)
 
 
 def _floats(value: object, name: str = "") -> Iterator[tuple[str, float]]:
