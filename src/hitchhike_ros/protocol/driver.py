@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 from hitchhike_ros.datatypes import FloatArray, HitchhikingPoint, Pose2D
 from hitchhike_ros.errors import PlanningError
@@ -17,7 +18,6 @@ from hitchhike_ros.protocol.machine import (
     GoalCancelled,
     GoalGiven,
     Machine,
-    NavigationReport,
     Row,
     Tick,
     Timeout,
@@ -53,7 +53,9 @@ NO_DRIVER = "Does not drive others"
 RIDER_LOST = "Hitchhiker lost"
 NO_HANDOVER = "Handover not acknowledged"
 CANNOT_GO_ON = "Navigation failed"
+ARRIVED = "Goal reached"
 GOAL_CHANGED = "Goal cancelled"
+ASKED_ANEW = "Hitchhiker asks anew"
 
 # The driver aligns this well, so that the hitchhiker finds the marker in front of it (chosen).
 _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD = 0.08, 0.06
@@ -107,7 +109,7 @@ class DriverMachine(Machine[DriverState]):
         Row(ENGAGED, GoalCancelled, "_stop_ride", (S.IDLE,)),
         Row((S.NAVIGATING,), Tick, "_watch_own_goal", (S.IDLE,)),
         Row((S.NAVIGATING, S.IDLE), Request, "_consider", (S.OFFERING,)),
-        Row(ENGAGED, Request, "_deny_busy"),
+        Row(ENGAGED, Request, "_asked_again", (S.OFFERING, S.NAVIGATING)),
         Row((S.OFFERING,), Lock, "_align", (S.ALIGNING,)),
         Row((S.ALIGNING, S.ALIGNED), Lock, "_confirm_lock"),
         Row((S.ALIGNING,), Tick, "_watch_alignment", (S.ALIGNED, S.NAVIGATING)),
@@ -142,10 +144,11 @@ class DriverMachine(Machine[DriverState]):
         self.ridden_m = 0.0
         self.gap_m: float | None = None  # as the rider reports it
         self._sites, self._planner, self._marker_pose = sites, planner, marker_pose
-        self._goals = 0
+        self._goals, self._own_goal_id = 0, ""
         self._acked_at = 0.0
         self._following = True
         self._odometer_at: Pose2D | None = None
+        self._stuck_since = 0.0
 
     def step(self, event: object, now: float) -> list:
         """As Machine.step; while engaged only the hitchhiker of the current ride is heard."""
@@ -159,7 +162,7 @@ class DriverMachine(Machine[DriverState]):
         """Where navigation has to go now; None is standing still."""
         if self.state is S.NAVIGATING and self.own_goal is not None:
             g = self.own_goal
-            return GoalCommand(f"{self.robot_id}-{self._goals}", g.x, g.y, g.theta)
+            return GoalCommand(self._own_goal_id, g.x, g.y, g.theta)
         if self.offer is not None and self.state is S.ALIGNING:
             p = self.offer.point.aligning_pose
             return GoalCommand(self._align_id, p.x, p.y, p.theta, _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD)
@@ -194,8 +197,7 @@ class DriverMachine(Machine[DriverState]):
 
     def _start(self, event: GoalGiven) -> None:
         self.own_goal = event.goal
-        self._goals += 1
-        self._go(S.NAVIGATING)
+        self._go_to_own_goal()
 
     def _change_goal(self, event: GoalGiven) -> None:
         self._end_ride(GOAL_CHANGED, tell=True)
@@ -212,11 +214,10 @@ class DriverMachine(Machine[DriverState]):
         self._go(S.IDLE, GOAL_CHANGED)
 
     def _watch_own_goal(self, _tick: Tick) -> None:
-        report = self._navigation_of(self.goal)
-        if report is not None and report.state in ("arrived", "failed"):
+        if (outcome := self._navigation_outcome()) is not None:
             self.own_goal = None
-            self._report("Goal reached" if report.state == "arrived" else f"{CANNOT_GO_ON}: {report.reason}")
-            self._go(S.IDLE, report.state if report.state == "arrived" else f"{CANNOT_GO_ON}: {report.reason}")
+            self._report(outcome)
+            self._go(S.IDLE, outcome)
 
     def _consider(self, request: Request) -> None:
         """P17 Algorithm 1, lines 5 to 12, and P18 Algorithm 2."""
@@ -226,9 +227,12 @@ class DriverMachine(Machine[DriverState]):
             return
         self.offer, self.ridden_m, self.gap_m = offer, 0.0, None
         self._report(f"Offering {offer.hitchhiker} a ride of {offer.ride_m:.1f} m")
+        self._go(S.OFFERING)
+        self._accept(offer)
+
+    def _accept(self, offer: Offer) -> None:
         estimate = self.situation.estimate
         pose = estimate.pose if estimate is not None else offer.point.aligning_pose
-        self._go(S.OFFERING)
         self._send(
             Accept(
                 **self._to_rider(),
@@ -244,9 +248,16 @@ class DriverMachine(Machine[DriverState]):
             )
         )
 
-    def _deny_busy(self, request: Request) -> None:
-        if self.offer is None or request.ride_id != self.offer.ride_id:
+    def _asked_again(self, request: Request) -> None:
+        """A request while engaged: the acceptance was lost, the hitchhiker has begun anew, or it is another one."""
+        assert self.offer is not None
+        if request.robot_id != self.offer.hitchhiker:
             self._deny(request, ALREADY_DRIVING)
+        elif request.ride_id != self.offer.ride_id:
+            self._end_ride(ASKED_ANEW, tell=False)
+            self._consider(request)
+        elif self.state is S.OFFERING:
+            self._accept(self.offer)
 
     def _align(self, lock: Lock) -> None:
         self._go(S.ALIGNING)
@@ -256,14 +267,12 @@ class DriverMachine(Machine[DriverState]):
         self._send(Ack(**self._to_rider(), of=lock.type, acknowledges=lock.seq))
 
     def _watch_alignment(self, _tick: Tick) -> None:
-        report = self._navigation_of(self.goal)
-        if report is None or report.state not in ("arrived", "failed"):
-            return
-        if report.state == "failed":
+        outcome = self._navigation_outcome()
+        if outcome == ARRIVED:
+            self._go(S.ALIGNED)
+            self._repeat_aligned()
+        elif outcome is not None:
             self._end_ride(UNABLE_TO_ALIGN, tell=True)
-            return
-        self._go(S.ALIGNED)
-        self._repeat_aligned()
 
     def _repeat_aligned(self, _tick: Tick | None = None) -> None:
         estimate = self.situation.estimate
@@ -280,14 +289,14 @@ class DriverMachine(Machine[DriverState]):
 
     def _watch_ride(self, _tick: Tick) -> None:
         self._count_metres()
-        report = self._navigation_of(self.goal)
-        if report is not None and report.state == "arrived":
+        outcome = self._navigation_outcome()
+        if outcome == ARRIVED:
             self._count_metres(last=True)
             self._go(S.DECOUPLING)
             self._repeat_handover()
             return
-        if report is not None and report.state == "failed":
-            self._end_ride(f"{CANNOT_GO_ON}: {report.reason}", tell=True)
+        if outcome is not None:
+            self._end_ride(outcome, tell=True)
             return
         if self._every(self.params.update_period_s, "driver"):
             self._inform()
@@ -300,7 +309,8 @@ class DriverMachine(Machine[DriverState]):
         if estimate is None:
             return
         self._every(self.params.update_period_s, "driver")
-        self._send(Driver(**self._to_rider(), **self._state_fields(), v=self.situation.speed_mps))
+        speed = self.situation.speed_mps
+        self._send(Driver(**self._to_rider(), **self._state_fields(), v=speed if math.isfinite(speed) else 0.0))
 
     def _note_ack(self, ack: Ack) -> None:
         if ack.of == Driver.type:
@@ -361,7 +371,7 @@ class DriverMachine(Machine[DriverState]):
     def _ride_goal_id(self) -> str:
         return f"{self.offer.ride_id}-ride" if self.offer else ""
 
-    def _to_rider(self) -> dict[str, str]:
+    def _to_rider(self) -> dict[str, Any]:
         assert self.offer is not None
         return {"robot_id": self.robot_id, "to": self.offer.hitchhiker, "ride_id": self.offer.ride_id}
 
@@ -384,7 +394,7 @@ class DriverMachine(Machine[DriverState]):
             )
         except PlanningError:
             return PATH_TOO_SHORT
-        if shared.length_m < self.params.min_ride_m:
+        if shared.farthest is None or shared.length_m < self.params.min_ride_m:
             return PATH_TOO_SHORT
         if request.profile > self.params.profile:
             return PROFILE_MISMATCH
@@ -403,11 +413,18 @@ class DriverMachine(Machine[DriverState]):
     def _tell(self, reason: str) -> None:
         self._send(Terminate(**self._to_rider(), reason=reason))
 
-    def _navigation_of(self, goal: GoalCommand | None) -> NavigationReport | None:
-        report = self.situation.navigation
-        return report if goal is not None and report is not None and report.goal_id == goal.id else None
+    def _navigation_outcome(self) -> str | None:
+        """ARRIVED, or why the current goal is given up; None while navigation is at it."""
+        goal, report = self.goal, self.situation.navigation
+        current = goal is not None and report is not None and report.goal_id == goal.id
+        if report is None or not current or report.state not in ("blocked", "failed"):
+            self._stuck_since = self._now
+            return ARRIVED if report is not None and current and report.state == "arrived" else None
+        if self._now - max(self._stuck_since, self._entered) <= self.params.stuck_timeout_s:
+            return None  # a new order is not stuck because the one before was
+        return f"{CANNOT_GO_ON}: {report.reason}"
 
-    def _state_fields(self) -> dict[str, object]:
+    def _state_fields(self) -> dict[str, Any]:
         estimate = self.situation.estimate
         assert estimate is not None
         sigma: Covariance = covariance_rows(estimate.covariance)
@@ -444,5 +461,10 @@ class DriverMachine(Machine[DriverState]):
         self._credit()
         self._report(reason)
         self.offer = None
+        self._go_to_own_goal(reason)
+
+    def _go_to_own_goal(self, reason: str = "") -> None:
+        """A new order, with an id that no earlier order had, not even one of before a restart."""
         self._goals += 1
+        self._own_goal_id = f"{self.robot_id}-{self._goals}-{self._now:.1f}"
         self._go(S.NAVIGATING, reason)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,8 @@ RIDE_CANCELLED = "Goal cancelled"
 
 # What a pose from an old driver message may be off by after the marker was lost: x, y in m, theta in rad (chosen).
 _LOST_SIGMA = (0.5, 0.5, 0.3)
+# Localization has taken a pose over when it answers with one that is this near to it (chosen: 4 of these sigmas).
+_TAKEN_M = 4.0 * _LOST_SIGMA[0]
 
 
 class HitchhikerState(Enum):
@@ -76,7 +79,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Row((S.REQUESTING,), Tick, "_repeat_request"),
         Row((S.REQUESTING,), Accept, "_lock", (S.LOCKING,)),
         Row((S.REQUESTING,), Deny, "_note_denial"),
-        Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Accept, "_refuse_offer"),
+        Row(tuple(s for s in S if s is not S.REQUESTING), Accept, "_refuse_offer"),
         Row((S.LOCKING,), Tick, "_repeat_lock"),
         Row((S.LOCKING,), Ack, "_locked", (S.AWAITING_ALIGNED,)),
         Row((S.LOCKING, S.AWAITING_ALIGNED), Aligned, "_couple", (S.COUPLING,)),
@@ -91,7 +94,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Row((S.SETTLING,), Tick, "_take_over", (S.RELOCALIZING,)),
         Row((S.SETTLING,), Terminate, "_abandoned", (S.RELOCALIZING,)),
         Row((S.RELOCALIZING,), Tick, "_watch_localization", (S.IDLE,)),
-        Row((S.RELOCALIZING, S.IDLE), Decouple, "_acknowledge_again"),
+        Row((S.RELOCALIZING, S.IDLE), Decouple, "_answer_late"),
+        Row((S.RELOCALIZING, S.IDLE), Driver, "_answer_late"),
+        Row((S.IDLE,), Aligned, "_answer_late"),
         Row(BEFORE_RIDE, GoalCancelled, "_cancel", (S.IDLE,)),
         Row(COUPLED, GoalCancelled, "_cancel_ride", (S.RELOCALIZING,)),
         Row((S.IDLE, S.RELOCALIZING), GoalCancelled, "_nothing_to_cancel"),
@@ -121,6 +126,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._heard_at = 0.0
         self._report_at: Driver | Decouple | None = None
         self._settled_pose: PoseEstimate | None = None
+        self._taken_over = False  # by the handover of this ride
 
     def step(self, event: object, now: float) -> list:
         """As Machine.step; messages of other rides than the current one are ignored."""
@@ -139,7 +145,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def servo(self) -> ServoCommand | None:
         if self.offer is None or self.state not in (S.COUPLING, *COUPLED):
             return None
-        speed = self._report_at.v if isinstance(self._report_at, Driver) else 0.0
+        # A driver that has fallen silent may be standing: its old speed must not push.
+        fresh = self._now - self._heard_at <= self.params.ack_timeout_s
+        speed = self._report_at.v if fresh and isinstance(self._report_at, Driver) else 0.0
         return ServoCommand("follow", self.offer.marker_id, self.offer.marker_size_m, self.params.gap_m, speed)
 
     @property
@@ -191,7 +199,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self.reason = denial.reason
 
     def _refuse_offer(self, offer: Accept) -> None:
-        if self.offer is not None and offer.robot_id != self.offer.robot_id:
+        if self.offer is None or offer.robot_id != self.offer.robot_id:
             self._send(RequestCancel(robot_id=self.robot_id, to=offer.robot_id, ride_id=self.ride_id))
 
     def _repeat_lock(self, _tick: Tick | None = None) -> None:
@@ -203,7 +211,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._go(S.AWAITING_ALIGNED)
 
     def _couple(self, _aligned: Aligned) -> None:
-        self._in_gap_since = None
+        self._in_gap_since = self._report_at = None
         self._go(S.COUPLING)
 
     def _offer_withdrawn(self, message: Deny | Terminate) -> None:
@@ -223,7 +231,6 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._in_gap_since = self._now
         if self._now - self._in_gap_since >= self.params.repeat_period_s:
             self._seen_at = self._heard_at = self._now
-            self._report_at = None
             self._go(S.RIDING)
             self._send_coupled(gap)
 
@@ -264,20 +271,28 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._lose_driver(DRIVER_LOST)
             return
         self._relocalize(self._pose_behind_driver(seen), "")
-        if isinstance(self._report_at, Decouple):
-            self._acknowledge_again(self._report_at)
+        self._taken_over = True
+        if self._report_at is not None:
+            self._answer_late(self._report_at)
 
     def _abandoned(self, message: Terminate) -> None:
         self._relocalize(self._rough_pose(), message.reason)
 
     def _watch_localization(self, _tick: Tick) -> None:
         taken, estimate = self._settled_pose, self.situation.estimate
-        if taken is not None and estimate is not None and estimate.stamp > taken.stamp:
+        if taken is None or estimate is None or estimate.stamp <= taken.stamp:
+            return
+        # Localization may wake up with what it knew where it went to sleep.
+        if distance(taken.pose, estimate.pose) <= _TAKEN_M:
             self._finish(self.reason)
 
-    def _acknowledge_again(self, message: Decouple) -> None:
-        to_driver = {"robot_id": self.robot_id, "to": message.robot_id, "ride_id": message.ride_id}
-        self._send(Ack(**to_driver, of=message.type, acknowledges=message.seq, gap_m=self.gap_m()))
+    def _answer_late(self, message: Decouple | Driver | Aligned) -> None:
+        """The driver still carries on with the ride that is over here: what it was told was lost."""
+        to_driver: dict[str, Any] = {"robot_id": self.robot_id, "to": message.robot_id, "ride_id": message.ride_id}
+        if not self._taken_over:
+            self._send(Terminate(**to_driver, reason=self.reason))
+        elif isinstance(message, Decouple):
+            self._send(Ack(**to_driver, of=message.type, acknowledges=message.seq, gap_m=self.gap_m()))
 
     def _cancel(self, _event: GoalCancelled) -> None:
         if self.offer is not None:
@@ -298,6 +313,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._finish(f"{DRIVER_NOT_FOUND} ({self.reason})" if self.reason else DRIVER_NOT_FOUND)
 
     def _lock_lost(self) -> None:
+        self._send(RequestCancel(**self._to_driver()))
         self._ask_again("Lock not confirmed")
 
     def _not_aligned(self) -> None:
@@ -314,13 +330,11 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     # What several actions do.
 
     def _concerns(self, message: Message) -> bool:
-        if isinstance(message, Decouple) and self.state in (S.IDLE, S.RELOCALIZING):
-            return message.ride_id == self.ride_id
-        if message.ride_id != self.ride_id:
+        if not self.ride_id or message.ride_id != self.ride_id:
             return False
         return self.offer is None or isinstance(message, Accept) or message.robot_id == self.offer.robot_id
 
-    def _to_driver(self) -> dict[str, str]:
+    def _to_driver(self) -> dict[str, Any]:
         to = self.offer.robot_id if self.offer is not None else "*"
         return {"robot_id": self.robot_id, "to": to, "ride_id": self.ride_id}
 
@@ -339,7 +353,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._heard_at, self._report_at, self.ridden_m = self._now, message, message.ridden_m
 
     def _new_request(self) -> None:
-        self._rides += 1
+        self._rides, self._taken_over = self._rides + 1, False
         self.ride_id = f"{self.robot_id}-{self._rides}-{self._now:.1f}"
 
     def _ask_again(self, reason: str) -> None:

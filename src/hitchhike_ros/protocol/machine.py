@@ -153,8 +153,7 @@ class Machine(Generic[S]):
         self._now, self._effects = now, []
         if isinstance(event, Tick):
             self.situation = event.situation
-            timeout = self._timeouts.get(self.state)
-            if timeout is not None and now - self._entered > getattr(self._params, timeout.limit):
+            while (timeout := self._expired()) is not None:
                 self._run(timeout.action, timeout.targets)
         row = self._rows.get((self.state, type(event)))
         if row is not None:
@@ -167,6 +166,10 @@ class Machine(Generic[S]):
 
     def time_in_state(self) -> float:
         return self._now - self._entered
+
+    def _expired(self) -> Timeout | None:
+        timeout = self._timeouts.get(self.state)
+        return timeout if timeout and self.time_in_state() > getattr(self._params, timeout.limit) else None
 
     def _run(self, action: str, targets: tuple[Any, ...], *event: object) -> None:
         self._allowed = targets

@@ -89,7 +89,8 @@ class Traveller:
         effects = self.hitchhiker.step(tick, now) + self.driver.step(tick, now)
         if rode and not self.rides and self.hitchhiker.goal is not None:
             effects += self.driver.step(GoalGiven(self.hitchhiker.goal), now)
-        if self._pending is not None and tick.situation.estimate is not None:
+            self.driver.reason = self.hitchhiker.reason  # why it goes on alone
+        if self._pending is not None and not self.rides and tick.situation.estimate is not None:
             goal, self._pending = self._pending, None
             machine = self.hitchhiker if self._wants_ride(goal) else self.driver
             effects += machine.step(GoalGiven(goal), now)

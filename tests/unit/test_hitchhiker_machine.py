@@ -1,0 +1,401 @@
+"""The hitchhiker's table: P17 Algorithm 2 with its timeouts and losses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from protocol_helpers import BOXES, CAMERA, DRIVER, MARKER_POSE, RIDER, RIDER_GOAL, Bench, messages, rider_in
+
+from hitchhike_ros.datatypes import Pose2D
+from hitchhike_ros.errors import TransitionError
+from hitchhike_ros.geometry import compose, distance, wrap_angle
+from hitchhike_ros.protocol.hitchhiker import BEFORE_RIDE, COUPLED, HitchhikerState
+from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, TakeObstacles, TakePose, Tick
+from hitchhike_ros.protocol.messages import (
+    MESSAGE_TYPES,
+    Accept,
+    Ack,
+    Aligned,
+    Coupled,
+    Decouple,
+    Deny,
+    Driver,
+    Lock,
+    Message,
+    Request,
+    RequestCancel,
+    Terminate,
+)
+from hitchhike_ros.protocol.status import ModuleSwitches
+
+S = HitchhikerState
+LOCKED = (S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING)
+
+
+def _behind(bench: Bench, driver: Pose2D) -> Pose2D:
+    """Where the hitchhiker stands when it sees the marker straight ahead."""
+    assert bench.gap is not None
+    marker = compose(driver, MARKER_POSE)
+    back = CAMERA[0] + bench.gap
+    return Pose2D(
+        marker.x - back * np.cos(driver.theta), marker.y - back * np.sin(driver.theta), wrap_angle(driver.theta)
+    )
+
+
+def _localized(bench: Bench, pose: Pose2D) -> None:
+    bench.pose = pose
+    bench.wait()
+
+
+# Handshake.
+
+
+def test_requests_carry_place_goal_profile_and_priority_and_repeat() -> None:
+    bench = rider_in(S.REQUESTING, profile=40.0, priority=9)
+    bench.wait(5.0)
+    requests = bench.take(Request)
+    assert 4 <= len(requests) <= 6
+    assert {r.to for r in requests} == {"*"}
+    assert len({r.ride_id for r in requests}) == 1
+    assert (requests[0].pose, requests[0].goal) == (bench.pose, RIDER_GOAL)
+    assert (requests[0].profile, requests[0].priority) == (40.0, 9)
+
+
+def test_it_does_not_ask_without_knowing_where_it_is() -> None:
+    bench = rider_in(S.REQUESTING)
+    bench.pose = None
+    bench.wait(5.0)
+    assert bench.take(Request) == []
+
+
+@pytest.mark.parametrize("denied", [False, True])
+def test_no_driver_within_the_waiting_time(denied: bool) -> None:
+    bench = rider_in(S.REQUESTING, max_wait_s=30.0)
+    bench.wait(20.0)
+    if denied:
+        bench.hear(Deny)
+    bench.wait(9.0)
+    assert bench.machine.state is S.REQUESTING
+    bench.wait(2.0)
+    assert bench.machine.state is S.IDLE
+    assert bench.machine.reason == ("Driver not found (Path too short)" if denied else "Driver not found")
+    bench.clear()
+    bench.hear(Accept)  # of somebody who has just come, and stands waiting
+    assert [(m.to, m.ride_id) for m in bench.take(RequestCancel)] == [(DRIVER, bench.machine.ride_id)]
+
+
+def test_the_waiting_time_counts_from_the_first_request() -> None:
+    bench = rider_in(S.REQUESTING, max_wait_s=30.0, max_align_s=31.0)
+    for cls, changes in ((Accept, {}), (Ack, {"of": "lock"})):
+        bench.hear(cls, **changes)
+    bench.wait(31.0)
+    assert bench.machine.state is S.AWAITING_ALIGNED
+    bench.clear()
+    bench.wait(0.3)
+    assert bench.machine.state is S.IDLE
+    assert [type(m) for m in bench.take(Message)] == [Terminate]  # and asks nobody just before it gives up
+
+
+def test_the_first_offer_is_locked_until_confirmed_and_others_are_refused() -> None:
+    bench = rider_in(S.REQUESTING)
+    bench.hear(Accept)
+    bench.wait(1.2)
+    locks = bench.take(Lock)
+    assert 2 <= len(locks) <= 3
+    assert {(m.to, m.ride_id) for m in locks} == {(DRIVER, bench.machine.ride_id)}
+    bench.hear(Accept)
+    assert bench.take(Message) == []
+    bench.hear(Accept, robot_id="other")
+    assert [m.to for m in bench.take(RequestCancel)] == ["other"]
+    bench.hear(Ack, of="request")
+    assert bench.machine.state is S.LOCKING
+    bench.hear(Ack, of="lock")
+    assert bench.machine.state is S.AWAITING_ALIGNED
+
+
+def test_aligned_may_overtake_the_lost_confirmation_of_the_lock() -> None:
+    bench = rider_in(S.LOCKING)
+    bench.hear(Aligned)
+    assert bench.machine.state is S.COUPLING
+
+
+# Timeouts: every state that waits ends by itself.
+
+
+@pytest.mark.parametrize(
+    ("state", "limit", "told", "reason"),
+    [
+        (S.LOCKING, "confirm_timeout_s", RequestCancel, "Lock not confirmed"),
+        (S.AWAITING_ALIGNED, "max_align_s", Terminate, "Driver did not align"),
+        (S.COUPLING, "max_couple_s", Terminate, "Large couple_time"),
+    ],
+)
+def test_an_offer_that_comes_to_nothing_is_given_back(
+    state: HitchhikerState, limit: str, told: type, reason: str
+) -> None:
+    bench = rider_in(state)
+    old = bench.machine.ride_id
+    bench.wait(getattr(bench.machine.params, limit) - 0.5)
+    assert bench.machine.state is state
+    bench.clear()
+    bench.wait(1.0)
+    assert (bench.machine.state, bench.machine.reason) == (S.REQUESTING, reason)
+    end, request = bench.take((told, Request))
+    assert (type(end), end.to, end.ride_id) == (told, DRIVER, old)
+    assert request.ride_id != old
+
+
+@pytest.mark.parametrize("state", LOCKED)
+@pytest.mark.parametrize("cls", [Deny, Terminate])
+def test_an_offer_that_is_withdrawn_is_followed_by_a_new_request(state: HitchhikerState, cls: type[Message]) -> None:
+    bench = rider_in(state)
+    old = bench.machine.ride_id
+    bench.hear(cls, reason="Unable to align")
+    bench.wait()
+    assert (bench.machine.state, bench.machine.reason) == (S.REQUESTING, "Unable to align")
+    assert [m.ride_id == old for m in bench.take(Request)] == [False]
+
+
+# Coupling.
+
+
+@pytest.mark.parametrize(("gap", "speed"), [(None, 0.0), (1.0, 0.0), (0.6, 0.0), (0.8, 0.1)])
+def test_it_is_coupled_only_when_it_stands_at_the_right_distance(gap: float | None, speed: float) -> None:
+    bench = rider_in(S.COUPLING)
+    bench.gap, bench.speed = gap, speed
+    bench.wait(5.0)
+    assert bench.machine.state is S.COUPLING
+    bench.gap, bench.speed = 0.85, 0.0
+    bench.wait(1.0)
+    assert bench.machine.state is S.RIDING
+    assert bench.take(Coupled)[0].gap_m == pytest.approx(0.85)
+
+
+def test_an_old_image_couples_nothing() -> None:
+    bench = rider_in(S.COUPLING)
+    bench.gap = 0.8
+    old = bench.situation()
+    bench.gap = None
+    for _ in range(50):
+        bench.now += 0.1
+        bench.step(Tick(replace(bench.situation(), observation=old.observation)))
+    assert bench.machine.state is S.COUPLING
+
+
+def test_another_robots_marker_couples_nothing() -> None:
+    bench = rider_in(S.COUPLING)
+    bench.machine.offer = replace(bench.machine.offer, marker_id=3)
+    bench.gap = 0.8
+    bench.wait(5.0)
+    assert bench.machine.state is S.COUPLING
+
+
+def test_coupled_is_repeated_until_the_driver_speaks() -> None:
+    bench = rider_in(S.COUPLING)
+    bench.gap = 0.8
+    bench.wait(2.6)
+    assert 3 <= len(bench.take(Coupled)) <= 5
+    bench.hear(Driver)
+    bench.wait(2.0)
+    assert bench.take(Coupled) == []
+
+
+# The ride.
+
+
+def test_every_driver_message_is_acknowledged_with_how_it_follows() -> None:
+    bench = rider_in(S.RIDING)
+    bench.hear(Driver, seq=11)
+    bench.gap = None
+    bench.wait(1.0)
+    bench.hear(Driver, seq=12)
+    acks = bench.take(Ack)
+    assert [(a.of, a.acknowledges, a.following) for a in acks] == [("driver", 11, True), ("driver", 12, False)]
+    assert acks[0].gap_m == pytest.approx(0.8)
+
+
+def test_the_drivers_speed_is_fed_forward_only_while_it_is_fresh_and_never_into_another_ride() -> None:
+    bench = rider_in(S.RIDING)
+    bench.hear(Driver, v=0.5)
+    assert bench.machine.servo.feed_forward_mps == 0.5
+    bench.wait(bench.machine.params.ack_timeout_s + 0.2)
+    assert bench.machine.servo.feed_forward_mps == 0.0
+    bench.hear(Driver, v=0.5)
+    bench.hear(Terminate)
+    _localized(bench, Pose2D(1.7, 5.72))
+    assert bench.machine.state is S.IDLE
+    bench.step(GoalGiven(RIDER_GOAL))
+    for cls in (Accept, Aligned):
+        bench.hear(cls)
+    assert (bench.machine.state, bench.machine.servo.feed_forward_mps) == (S.COUPLING, 0.0)
+
+
+@pytest.mark.parametrize(("lost", "reason"), [("marker", "Driver lost"), ("messages", "No message from the driver")])
+def test_a_lost_driver_leaves_a_rough_pose_and_a_robot_that_goes_on_alone(lost: str, reason: str) -> None:
+    bench = rider_in(S.RIDING)
+    at = Pose2D(12.0, 5.72, 0.1)
+    expected = _behind(bench, at)
+    message = {"x": at.x, "y": at.y, "theta": at.theta}
+    bench.hear(Driver, **message)
+    bench.clear()
+    bench.gap = None if lost == "marker" else bench.gap
+    while bench.machine.state is S.RIDING:
+        bench.wait()
+        if lost == "marker" and bench.machine.state is S.RIDING:
+            bench.hear(Driver, **message)
+    end, pose, boxes = bench.take((Terminate, TakePose, TakeObstacles))
+    assert (bench.machine.state, end.reason, boxes.obstacles) == (S.RELOCALIZING, reason, BOXES)
+    assert distance(pose.estimate.pose, expected) < 0.01
+    assert np.all(np.diag(pose.estimate.covariance) >= [0.25, 0.25, 0.09])  # rough, and it says so
+    bench.hear(Driver, **message)  # the driver has not heard that it was lost
+    assert [m.reason for m in bench.take(Terminate)] == [reason]
+    _localized(bench, expected)
+    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, reason, RIDER_GOAL)
+    bench.hear(Decouple)
+    assert [type(m) for m in bench.take(Message)] == [Terminate]  # nothing was handed over, so nothing is acknowledged
+
+
+# Decoupling.
+
+
+@pytest.mark.parametrize("method", ["paper", "measured"])
+def test_the_pose_is_taken_over_standing_and_then_acknowledged(method: str) -> None:
+    bench = rider_in(S.RIDING, handover=method)
+    at = Pose2D(23.4, 5.7, 0.05)
+    bench.clear()
+    bench.speed = 0.1
+    bench.hear(Decouple, x=at.x, y=at.y, theta=at.theta, seq=40)
+    bench.wait(1.0)
+    assert bench.machine.state is S.SETTLING
+    assert bench.effects == []
+    bench.speed = 0.0
+    bench.wait()
+    pose, boxes, ack = bench.take((TakePose, TakeObstacles, Message))
+    assert (ack.of, ack.acknowledges, boxes.obstacles) == ("decouple", 40, BOXES)
+    assert distance(pose.estimate.pose, _behind(bench, at)) < 0.01
+    assert bench.machine.state is S.RELOCALIZING
+    _localized(bench, pose.estimate.pose)
+    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, "", RIDER_GOAL)
+
+
+def test_the_handover_is_taken_once_and_acknowledged_as_often_as_it_comes() -> None:
+    bench = rider_in(S.SETTLING)
+    bench.hear(Decouple, seq=1)
+    bench.wait(1.0)
+    assert len(bench.take(TakePose)) == 1
+    bench.hear(Decouple, seq=2)
+    _localized(bench, Pose2D(1.7, 5.72))
+    assert bench.machine.state is S.IDLE
+    bench.hear(Decouple, seq=3)
+    bench.wait(10.0)
+    assert [type(e) for e in bench.take((TakePose, TakeObstacles))] == []
+    bench.hear(Decouple, seq=4)
+    assert [a.acknowledges for a in bench.take(Ack)] == [4]
+
+
+def test_a_robot_that_does_not_stand_takes_over_in_the_end() -> None:
+    bench = rider_in(S.SETTLING)
+    bench.speed = 0.1
+    bench.wait(bench.machine.params.settle_timeout_s + 0.2)
+    assert bench.machine.state is S.RELOCALIZING
+    assert len(bench.take(Ack)) == 1
+
+
+def test_a_marker_that_is_lost_while_settling_leaves_the_rough_pose() -> None:
+    bench = rider_in(S.SETTLING)
+    bench.gap = None
+    bench.wait(bench.machine.params.settle_timeout_s + 0.2)
+    end, pose = bench.take((Terminate, TakePose, Ack))
+    assert (end.reason, bench.machine.reason) == ("Driver lost", "Driver lost")
+    assert pose.estimate.covariance[0, 0] > 0.25
+
+
+def test_it_waits_for_localization_to_answer_with_the_pose_it_was_given() -> None:
+    bench = rider_in(S.RELOCALIZING)
+    _localized(bench, Pose2D(20.0, 5.72))  # where it went to sleep
+    assert bench.machine.state is S.RELOCALIZING
+    _localized(bench, Pose2D(1.7, 5.72))
+    assert bench.machine.state is S.IDLE
+
+
+def test_localization_that_never_answers_does_not_hold_it() -> None:
+    bench = rider_in(S.RELOCALIZING)
+    bench.wait(bench.machine.params.localize_timeout_s + 0.2)
+    assert (bench.machine.state, bench.machine.reason) == (S.IDLE, "localization did not answer")
+    bench.hear(Decouple)
+    assert len(bench.take(Ack)) == 1
+
+
+# The goal is changed, and everything else that may happen at any time.
+
+
+@pytest.mark.parametrize("state", S)
+def test_the_goal_may_be_cancelled_in_every_state(state: HitchhikerState) -> None:
+    bench = rider_in(state)
+    bench.step(GoalCancelled())
+    told = {S.IDLE: [], S.REQUESTING: [], S.RELOCALIZING: [], S.RIDING: [Terminate], S.SETTLING: [Terminate]}
+    assert [type(m) for m in bench.take(Message)] == told.get(state, [RequestCancel])
+    _localized(bench, Pose2D(1.7, 5.72))
+    assert bench.machine.state is S.IDLE
+    assert bench.machine.offer is None
+    assert bench.machine.goal is None or state in BEFORE_RIDE
+
+
+@pytest.mark.parametrize("state", S)
+def test_a_second_goal_is_the_only_command_that_is_not_allowed(state: HitchhikerState) -> None:
+    bench = rider_in(state)
+    if state is S.IDLE:
+        bench.step(GoalGiven(RIDER_GOAL))
+        assert bench.machine.state is S.REQUESTING
+        return
+    with pytest.raises(TransitionError, match=f"GoalGiven is not allowed in {state.value}"):
+        bench.step(GoalGiven(RIDER_GOAL))
+    assert bench.machine.state is state
+
+
+@pytest.mark.parametrize("state", (*LOCKED, *COUPLED))
+def test_only_its_own_driver_is_heard(state: HitchhikerState) -> None:
+    bench = rider_in(state)
+    for cls in MESSAGE_TYPES.values():
+        if cls is not Accept:
+            bench.hear(cls, robot_id="other")
+        bench.hear(cls, ride_id="ride-0")
+    assert bench.machine.state is state
+    assert bench.take(Message) == []
+
+
+def test_before_its_first_ride_it_answers_nobody() -> None:
+    bench = rider_in(S.IDLE)
+    for message in messages(DRIVER, RIDER, "").values():
+        bench.step(message)
+    assert (bench.machine.state, bench.effects) == (S.IDLE, [])
+
+
+@pytest.mark.parametrize("state", S)
+@pytest.mark.parametrize("cls", MESSAGE_TYPES.values())
+def test_no_message_and_no_lack_of_knowledge_raises(state: HitchhikerState, cls: type[Message]) -> None:
+    for pose, gap in ((None, None), (Pose2D(1.8, 5.72), 0.8), (Pose2D(1e100, -1e100), 1e100)):
+        bench = rider_in(state)
+        bench.pose, bench.gap = pose, gap
+        bench.wait()
+        bench.hear(cls)
+        bench.hear(cls, ride_id="")
+        bench.wait(1.0)
+        assert bench.machine.state in S
+
+
+# What the modules are told (P17 Table 3).
+
+
+@pytest.mark.parametrize("state", S)
+def test_the_modules_of_each_state(state: HitchhikerState) -> None:
+    machine = rider_in(state).machine
+    alone = ModuleSwitches(PP=True, OBS=True, LZN=True, MAP=True, COM=True, VS=state is S.COUPLING)
+    riding = ModuleSwitches(PP=False, OBS=False, LZN=False, MAP=False, COM=True, VS=True)
+    assert machine.modules == (riding if state in COUPLED else alone)
+    assert (machine.servo is not None) == (state in (S.COUPLING, *COUPLED))
+    if machine.servo is not None:
+        assert (machine.servo.task, machine.servo.marker_id, machine.servo.gap_m) == ("follow", 0, 0.8)
+    assert (machine.ride is not None) == (state not in (S.IDLE, S.REQUESTING))
