@@ -1,0 +1,373 @@
+"""Follows a path around what the map does not know: a dynamic-window controller with the robot's footprint.
+
+One step: the scan becomes obstacle points (:mod:`obstacle_memory`) and a field of distances (:mod:`clearance`); the
+path is shifted around them (:mod:`detour`); motions that the robot can make (:mod:`dynamic_window`) are refused when it
+could not brake before contact, and scored along the shifted path.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from hitchhike_ros.control.clearance import ClearanceField, Footprint
+from hitchhike_ros.control.detour import Detour, DetourPlanner
+from hitchhike_ros.control.dynamic_window import brake, roll_out, window
+from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
+from hitchhike_ros.control.reference_path import ReferencePath
+from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
+from hitchhike_ros.errors import PlanningError, SensorDataError
+from hitchhike_ros.geometry import between
+from hitchhike_ros.robot_model import RobotLimits
+
+State = Literal["driving", "arrived", "blocked"]
+Samples = Annotated[int, msgspec.Meta(ge=2)]
+
+
+@dataclass(frozen=True)
+class ObstacleAvoidanceParameters:
+    """Section ``obstacle_avoidance``. All values are chosen; the papers name no controller."""
+
+    goal_tolerance_m: Positive = 0.10
+    goal_tolerance_rad: Positive = 0.087  # 5°
+    max_age_s: Positive = 0.4  # an older scan is no basis for motion
+    max_nan_fraction: UnitInterval = 0.1
+    margin_m: NonNegative = 0.05  # the footprint never comes closer than this on purpose
+    comfort_m: Positive = 0.35  # closer than this costs
+    reaction_s: Positive = 0.25  # from a scan until the next command acts
+    window_s: Positive = 0.8
+    horizon_s: Positive = 2.0
+    rollout_step_s: Positive = 0.2
+    speed_samples: Samples = 5
+    yaw_rate_samples: Samples = 19
+    turn_start_rad: Positive = 1.05  # 60°; farther off the path's heading than this, turn standing
+    turn_stop_rad: Positive = 0.21  # 12°
+    stand_off_m: NonNegative = 0.3  # stop this much before the last free place of a blocked way
+    max_off_path_m: Positive = 1.2
+    memory_s: Positive = 3.0
+    near_memory_s: Positive = 15.0  # for what the turning footprint could touch
+    blocked_after_s: Positive = 1.0  # standing without a way on
+    no_progress_s: Positive = 15.0
+    progress_weight: NonNegative = 1.0
+    lateral_weight: NonNegative = 0.6
+    heading_weight: NonNegative = 0.4
+    clearance_weight: NonNegative = 0.5
+    contact_weight: NonNegative = 1.0
+    smoothness_weight: NonNegative = 0.3
+    # With a hitchhiker behind: a camera of 60° must keep the marker 0.8 m ahead of it in view.
+    rider_speed_mps: Positive = 0.5
+    rider_yaw_rate_rps: Positive = 0.5
+    rider_acceleration_mps2: Positive = 0.3
+    rider_yaw_acceleration_rps2: Positive = 0.8
+    rider_curvature_per_m: Positive = 1.2
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What to do now, and why when it is not simply driving."""
+
+    twist: Twist2D
+    state: State
+    reason: str = ""
+
+
+@dataclass
+class _Leg:
+    """One path on the way to its goal, and how far the robot has come."""
+
+    path: ReferencePath
+    goal: Pose2D
+    tolerance_m: float
+    tolerance_rad: float
+    s: float | None = None  # arc length of the robot's foot on the path
+    detour: Detour | None = None
+    turning: bool = False
+    aligning: bool = False
+    settled: bool = False
+    arrived: bool = False
+    furthest: float = 0.0
+    progressed_at: float = math.inf
+    moved_at: float = math.inf
+
+    def watch(self, now: float, moving: bool) -> tuple[float, float]:
+        """Seconds without motion, and seconds without coming on along the path."""
+        if moving or now < self.moved_at:
+            self.moved_at = now
+        if now < self.progressed_at or (self.s or 0.0) > self.furthest + 0.1:
+            self.furthest, self.progressed_at = self.s or 0.0, now
+        return now - self.moved_at, now - self.progressed_at
+
+
+class ObstacleAvoidance:
+    """Drives one robot along one path at a time. Call :meth:`step` with each scan."""
+
+    def __init__(self, limits: RobotLimits, params: ObstacleAvoidanceParameters) -> None:
+        self._params, self._limits = params, limits
+        self._rider_limits = replace(
+            limits,
+            max_speed_mps=min(limits.max_speed_mps, params.rider_speed_mps),
+            max_yaw_rate_rps=min(limits.max_yaw_rate_rps, params.rider_yaw_rate_rps),
+            max_acceleration_mps2=min(limits.max_acceleration_mps2, params.rider_acceleration_mps2),
+            max_yaw_acceleration_rps2=min(limits.max_yaw_acceleration_rps2, params.rider_yaw_acceleration_rps2),
+        )
+        self._footprint = Footprint(limits)
+        self._detour_planner = DetourPlanner(limits.radius_m or limits.half_width_m, params.margin_m, params.comfort_m)
+        self._memory = ObstacleMemory(params.memory_s, params.near_memory_s, self._footprint)
+        self._times = params.rollout_step_s * np.arange(1, math.ceil(params.horizon_s / params.rollout_step_s) + 1)
+        self._command, self._commanded_at = Twist2D(), -math.inf
+        self._leg: _Leg | None = None
+
+    def clear(self) -> None:
+        """Forget path and goal; what is known of obstacles stays."""
+        self._leg = None
+
+    def set_path(
+        self, path: FloatArray, goal: Pose2D, tolerance_m: float | None = None, tolerance_rad: float | None = None
+    ) -> None:
+        """Drive along ``path`` (N, 2) to ``goal``, both in ``map``; the tolerances default to the parameters'.
+
+        Raises:
+            PlanningError: the path is not finite points, or does not end at the goal.
+        """
+        points = np.asarray(path, dtype=float)
+        reference = ReferencePath(points)
+        if not goal.is_finite():
+            raise PlanningError(f"goal {goal} is not finite")
+        gap = math.hypot(points[-1, 0] - goal.x, points[-1, 1] - goal.y)
+        tolerance_m = self._params.goal_tolerance_m if tolerance_m is None else tolerance_m
+        tolerance_rad = self._params.goal_tolerance_rad if tolerance_rad is None else tolerance_rad
+        if gap > max(0.2, tolerance_m):
+            raise PlanningError(f"path ends {gap:.2f} m from the goal")
+        if gap > 0.0:
+            reference = ReferencePath(np.vstack([points, (goal.x, goal.y)]))
+        self._leg = _Leg(reference, goal, tolerance_m, tolerance_rad)
+
+    def step(
+        self,
+        now: float,
+        pose: Pose2D,
+        twist: Twist2D,
+        scan: LaserScan,
+        T_base_laser: Pose2D,
+        speed_limit: float,
+        gentle: bool = False,
+    ) -> Decision:
+        """The command for the next scan period.
+
+        ``pose`` (in ``map``) and ``twist`` are those at the scan's stamp; ``speed_limit`` in m/s; ``gentle`` while a
+        hitchhiker follows. Inputs that are not finite, too old or empty give a stand with state ``blocked``.
+        """
+        if not (math.isfinite(now) and pose.is_finite() and twist.is_finite()):
+            return self._stand("blocked", "pose or twist is not finite")
+        if not speed_limit >= 0.0:
+            return self._stand("blocked", f"speed limit is {speed_limit}")
+        if not abs(now - scan.stamp) <= self._params.max_age_s:
+            return self._stand("blocked", f"scan is {now - scan.stamp:.2f} s old")
+        try:
+            points = scan_points(scan, self._params.max_nan_fraction)
+        except SensorDataError as exc:
+            return self._stand("blocked", str(exc))
+        points = self._memory.update(scan, points, pose, T_base_laser)
+        leg = self._leg
+        if leg is None:
+            return self._stand("blocked", "no path")
+        if leg.arrived:
+            return self._stand("arrived")
+        if speed_limit == 0.0:
+            leg.moved_at = leg.progressed_at = now
+            return self._stand("driving", "speed limit is zero")
+        limits = self._rider_limits if gentle else self._limits
+        limits = replace(limits, max_speed_mps=min(limits.max_speed_mps, speed_limit))
+        return self._drive(leg, now, pose, twist, ClearanceField(points), limits, gentle)
+
+    def _drive(
+        self,
+        leg: _Leg,
+        now: float,
+        pose: Pose2D,
+        twist: Twist2D,
+        field: ClearanceField,
+        limits: RobotLimits,
+        gentle: bool,
+    ) -> Decision:
+        p = self._params
+        clearance = float(field.clearance(self._footprint, np.zeros(3)))
+        if clearance < -0.02:  # more than the discs' overhang and the grid explain
+            return self._stand("blocked", "an obstacle touches the footprint")
+        # Closer than the margin (a person stepped up): what comes no closer is still allowed.
+        floor = min(p.margin_m, clearance - 0.005 if clearance > 0.02 else clearance)
+
+        goal = between(pose, leg.goal)
+        distance = math.hypot(goal.x, goal.y)
+        at_goal = distance <= (leg.tolerance_m if leg.aligning else 0.3 * leg.tolerance_m)
+        leg.aligning = at_goal or (distance <= 0.8 * leg.tolerance_m and goal.x < 0.02)
+        if leg.aligning:
+            return self._align(leg, now, goal.theta, twist, field, floor, limits)
+
+        near = (0.0, math.inf) if leg.s is None else (leg.s - 0.5, leg.s + 2.0)
+        leg.s, off_path = leg.path.project(pose.x, pose.y, *near)
+        if off_path > p.max_off_path_m:
+            return self._stand("blocked", f"{off_path:.2f} m off the path")
+        leg.detour = self._detour_planner.plan(leg.path, leg.s, pose, field, leg.detour)
+        way = self._way(leg.detour)
+        stop_after = math.inf
+        if leg.detour.blocked:
+            stop_after = way.length - p.stand_off_m
+        elif leg.detour.stations[-1] >= leg.path.length:
+            stop_after = way.length
+        speed = math.sqrt(1.2 * limits.max_acceleration_mps2 * max(stop_after, 0.0))
+        limits = replace(limits, max_speed_mps=max(min(limits.max_speed_mps, speed), 1e-3))
+
+        target: Twist2D | None = Twist2D()
+        if stop_after > 0.0:
+            ahead = way.at(np.array([min(0.5, way.length)]))[0]
+            heading, reach = math.atan2(ahead[1], ahead[0]), math.hypot(*ahead)
+            threshold = p.turn_stop_rad if leg.turning else p.turn_start_rad
+            leg.turning = abs(heading) > threshold and reach > 0.5 * leg.tolerance_m
+            target = self._turn(heading, twist, field, floor, limits) if leg.turning else None
+            target = target or self._best(twist, way, field, floor, limits, gentle)
+        standing = target is None or (abs(target.v) < 0.01 and abs(target.omega) < 0.02)
+        waited, stuck = leg.watch(now, not standing)
+        if waited >= p.blocked_after_s:
+            gap = way.length + self._limits.front_m
+            why = f"no way past an obstacle {gap:.1f} m ahead" if leg.detour.blocked else "no motion is safe"
+            return self._stand("blocked", why)
+        if stuck >= p.no_progress_s:
+            return self._stand("blocked", f"no progress for {stuck:.0f} s")
+        if target is None:  # brake as hard as the base can
+            return self._stand("driving", "no motion is safe")
+        return Decision(self._ramp(now, twist, target, limits), "driving", "waiting for a way" if standing else "")
+
+    def _align(
+        self,
+        leg: _Leg,
+        now: float,
+        error: float,
+        twist: Twist2D,
+        field: ClearanceField,
+        floor: float,
+        limits: RobotLimits,
+    ) -> Decision:
+        """Turn to the goal's heading, ``error`` rad away, and arrive standing."""
+        leg.settled = abs(error) <= (0.9 if leg.settled else 0.4) * leg.tolerance_rad
+        if leg.settled:
+            leg.arrived = abs(twist.v) < 0.05 and abs(twist.omega) < 0.1
+            return self._stand("arrived" if leg.arrived else "driving")
+        target = self._turn(error, twist, field, floor, limits)
+        waited, _ = leg.watch(now, target is not None)
+        if target is not None:
+            return Decision(self._ramp(now, twist, target, limits), "driving")
+        return self._stand("blocked" if waited >= self._params.blocked_after_s else "driving", "no room to turn")
+
+    def _turn(
+        self, error: float, twist: Twist2D, field: ClearanceField, floor: float, limits: RobotLimits
+    ) -> Twist2D | None:
+        """A standing turn by ``error`` rad, the other way round where an obstacle forbids it; None without room."""
+        if abs(twist.v) > 0.05:
+            return Twist2D()
+        other = error - math.copysign(2.0 * math.pi, error)
+        keep_sense = abs(error) > 2.5 and error * self._command.omega < 0.0
+        for angle in (other, error) if keep_sense else (error, other):
+            sweep = np.zeros((max(3, math.ceil(abs(angle) / 0.1)), 3))
+            sweep[:, 2] = np.linspace(0.0, angle, len(sweep))
+            if field.clearance(self._footprint, sweep).min() >= floor:
+                rate = min(math.sqrt(1.2 * limits.max_yaw_acceleration_rps2 * abs(angle)), 2.5 * abs(angle))
+                return Twist2D(0.0, math.copysign(min(rate, limits.max_yaw_rate_rps), angle))
+        return None
+
+    def _best(
+        self, twist: Twist2D, way: ReferencePath, field: ClearanceField, floor: float, limits: RobotLimits, gentle: bool
+    ) -> Twist2D | None:
+        """The velocities to head for; None when the robot could not brake before contact with any of them."""
+        p = self._params
+        targets = window(twist, limits, p.window_s, limits.max_speed_mps, p.speed_samples, p.yaw_rate_samples)
+        if gentle:
+            in_view = np.abs(targets[:, 1]) <= p.rider_curvature_per_m * targets[:, 0] + 0.1
+            targets = targets[in_view] if in_view.any() else targets
+        reaction = np.array([0.5, 1.0]) * p.reaction_s
+        committed, velocities = roll_out(twist, targets, limits, reaction)
+        stopping = np.concatenate([committed, brake(committed[:, -1], velocities[:, -1], limits, 6)], axis=1)
+        safe = field.clearance(self._footprint, stopping).min(axis=1) >= floor
+        if not safe.any():
+            return None
+        targets = targets[safe]
+        poses, velocities = roll_out(twist, targets, limits, self._times)
+        best = int(np.argmin(self._costs(targets, poses, velocities, way, field, floor, limits)))
+        return Twist2D(float(targets[best, 0]), float(targets[best, 1]))
+
+    def _costs(
+        self,
+        targets: FloatArray,
+        poses: FloatArray,
+        velocities: FloatArray,
+        way: ReferencePath,
+        field: ClearanceField,
+        floor: float,
+        limits: RobotLimits,
+    ) -> FloatArray:
+        """Cost (K,) of heading for ``targets`` (K, 2): ``poses`` (K, P, 3) judged until contact or the way ends."""
+        p, (count, length) = self._params, poses.shape[:2]
+        every = np.arange(count)
+        travelled = np.cumsum(velocities[..., 0], axis=1) * p.rollout_step_s
+        clearance = field.clearance(self._footprint, poses)
+        free = np.logical_and.accumulate(clearance >= floor, axis=1).sum(axis=1)
+        before_end = (travelled < way.length).sum(axis=1) + 1
+        last = np.clip(np.minimum(free, before_end) - 1, 0, length - 1)
+        contact = np.where(free < np.minimum(before_end, length), 1.0 - free / length, 0.0)
+
+        possible = min(max(limits.max_speed_mps, 0.05) * self._times[-1], way.length)
+        s = np.arange(0.0, possible + 0.3, 0.06)
+        line = way.at(s)
+        judged = np.minimum(np.array([length // 3, 2 * length // 3, length - 1]), last[:, None])
+        places = poses[every[:, None], judged]
+        squared = (places[..., 0, None] - line[:, 0]) ** 2 + (places[..., 1, None] - line[:, 1]) ** 2
+        nearest = squared.argmin(axis=-1)
+        lateral = np.minimum(squared.min(axis=-1) / 0.3**2, 4.0).mean(axis=1)
+        reached = s[nearest[:, -1]]
+        along = way.tangents(reached + 0.2)
+        theta = poses[every, last, 2]
+        heading = 1.0 - (along[:, 0] * np.cos(theta) + along[:, 1] * np.sin(theta))
+        counted = np.arange(length) <= last[:, None]
+        closest = np.where(counted, clearance, np.inf).min(axis=1)
+        discomfort = np.clip(1.0 - closest / p.comfort_m, 0.0, 1.0)
+        swing = (targets[:, 1] - self._command.omega) / limits.max_yaw_rate_rps
+        return (
+            p.progress_weight * (1.0 - reached / max(possible, 0.05))
+            + p.lateral_weight * lateral
+            + p.heading_weight * heading
+            + p.clearance_weight * discomfort**2
+            + p.contact_weight * contact
+            + p.smoothness_weight * swing**2
+        )
+
+    @staticmethod
+    def _way(detour: Detour) -> ReferencePath:
+        """The detour from where the robot stands, in its frame, without the quantised first bit beside it."""
+        far = np.hypot(detour.points[:, 0], detour.points[:, 1]) > 0.15
+        first = int(np.argmax(far)) if far.any() else len(detour.points) - 1
+        return ReferencePath(np.vstack([(0.0, 0.0), detour.points[first:]]))
+
+    def _ramp(self, now: float, twist: Twist2D, target: Twist2D, limits: RobotLimits) -> Twist2D:
+        """The last command moved towards ``target`` by what the acceleration limits allow since then."""
+        dt = now - self._commanded_at
+        dt = dt if 0.0 < dt < 0.2 else 0.1
+        rates = (limits.max_acceleration_mps2, limits.max_yaw_acceleration_rps2)
+        pairs = (
+            (self._command.v, twist.v, target.v, rates[0]),
+            (self._command.omega, twist.omega, target.omega, rates[1]),
+        )
+        values = []
+        for command, measured, wanted, rate in pairs:
+            # A base that lags behind by more than 0.4 s of acceleration is not hurried further.
+            start = min(max(command, measured - 0.4 * rate), measured + 0.4 * rate)
+            values.append(start + min(max(wanted - start, -rate * dt), rate * dt))
+        self._command, self._commanded_at = Twist2D(*values), now
+        return self._command
+
+    def _stand(self, state: State, reason: str = "") -> Decision:
+        self._command = Twist2D()
+        return Decision(self._command, state, reason)

@@ -1,0 +1,85 @@
+"""One command for the base out of several sources: the most important fresh one, within the robot's limits."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import Annotated, Literal, get_args
+
+import msgspec
+
+from hitchhike_ros.datatypes import Positive, Twist2D
+from hitchhike_ros.robot_model import RobotLimits
+
+Source = Literal["teleop", "servoing", "navigation"]
+SOURCES: tuple[Source, ...] = get_args(Source)  # most important first
+
+
+@dataclass(frozen=True)
+class VelocityMuxParameters:
+    """Section ``velocity_mux``; chosen."""
+
+    teleop_timeout_s: Positive = 0.5
+    servoing_timeout_s: Positive = 0.5
+    navigation_timeout_s: Positive = 0.5
+    deceleration_factor: Annotated[float, msgspec.Meta(ge=1)] = 2.0  # braking may be this much harder than speeding up
+    max_period_s: Positive = 0.1  # a longer pause between steps does not allow a larger change of speed
+
+
+class VelocityMux:
+    """Keeps the newest command of each source; :meth:`step` gives what the base should do now."""
+
+    def __init__(self, params: VelocityMuxParameters, limits: RobotLimits) -> None:
+        self._params, self._limits = params, limits
+        self._timeouts: dict[Source, float] = {
+            "teleop": params.teleop_timeout_s,
+            "servoing": params.servoing_timeout_s,
+            "navigation": params.navigation_timeout_s,
+        }
+        self._commands: dict[Source, tuple[float, Twist2D]] = {}
+        self._output, self._stepped_at = Twist2D(), math.inf
+        self.active: Source | None = None
+        self.refused: Counter[Source] = Counter()
+
+    def command(self, source: Source, twist: Twist2D, now: float) -> bool:
+        """Take a command; False when it is refused and counted because it is not finite.
+
+        A refused command also ends the one before it: a source that talks nonsense does not drive.
+        """
+        if not twist.is_finite():
+            self.refused[source] += 1
+            self._commands.pop(source, None)
+            return False
+        self._commands[source] = (now, twist)
+        return True
+
+    def step(self, now: float) -> Twist2D:
+        """The command at ``now`` in s; towards a stand when no source is fresh, as after time jumped back."""
+        if now < self._stepped_at:
+            if math.isfinite(self._stepped_at):
+                self._commands = {s: (at, twist) for s, (at, twist) in self._commands.items() if at <= now}
+            self._stepped_at = now
+        dt = min(now - self._stepped_at, self._params.max_period_s)
+        self._stepped_at = now
+        fresh = [s for s in SOURCES if s in self._commands and 0.0 <= now - self._commands[s][0] < self._timeouts[s]]
+        self.active = fresh[0] if fresh else None
+        target = self._commands[self.active][1] if self.active else Twist2D()
+        limits, brake = self._limits, self._params.deceleration_factor
+        self._output = Twist2D(
+            _approach(self._output.v, target.v, limits.max_speed_mps, limits.max_acceleration_mps2 * dt, brake),
+            _approach(
+                self._output.omega, target.omega, limits.max_yaw_rate_rps, limits.max_yaw_acceleration_rps2 * dt, brake
+            ),
+        )
+        return self._output
+
+
+def _approach(value: float, target: float, limit: float, change: float, brake: float) -> float:
+    """``value`` moved towards ``target`` by ``change``, or ``brake`` times that where it slows down."""
+    target = min(max(target, -limit), limit)
+    if value * target < 0.0:
+        target = 0.0  # first to a stand
+    if abs(target) < abs(value):
+        change *= brake
+    return value + min(max(target - value, -change), change)
