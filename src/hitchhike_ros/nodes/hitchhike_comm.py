@@ -6,7 +6,8 @@ Subscribed (in the robot's namespace unless absolute):
     move_base/cancel (actionlib_msgs/GoalID): withdraw the goal
     amcl_pose (geometry_msgs/PoseWithCovarianceStamped), odom (nav_msgs/Odometry), map (nav_msgs/OccupancyGrid)
     new_obstacles (std_msgs/String): boxes that the own slam found
-    navigation/status (std_msgs/String), visual_servoing/observations (std_msgs/String)
+    path_planning/status, navigation/status (std_msgs/String): how the goal fares
+    visual_servoing/observations (std_msgs/String)
 Published:
     /hhike_msg/network (std_msgs/String)
     hhike_msg/status (std_msgs/String, latched): which modules are on, where to drive, whom to follow
@@ -45,7 +46,7 @@ from hitchhike_ros.errors import MessageError, PlanningError, SensorDataError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import load_sites
-from hitchhike_ros.planning.global_planner import GlobalPlanner, PlanningParams
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
     Award,
@@ -89,7 +90,7 @@ class HitchhikeComm:
     def __init__(self) -> None:
         params = node_parameters(HitchhikingParams, "hitchhiking")
         limits = node_parameters(RobotLimits, "robot")
-        self._planner = GlobalPlanner(node_parameters(PlanningParams, "planning"), limits)
+        self._planner = GlobalPlanner(node_parameters(GlobalPlannerParams, "global_planner"), limits)
         urdf = path_parameter("urdf")
         camera = pose_from_matrix(mount(urdf, "camera"))
         robot_id = str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))
@@ -125,6 +126,7 @@ class HitchhikeComm:
             ("map", OccupancyGridMsg, self._on_map),
             ("new_obstacles", String, self._on_new_obstacles),
             ("navigation/status", String, self._on_navigation),
+            ("path_planning/status", String, self._on_planning),
             ("visual_servoing/observations", String, self._on_observations),
         )
         self._subscribers = [
@@ -184,6 +186,12 @@ class HitchhikeComm:
     def _on_navigation(self, msg: String) -> None:
         report = self._decode(msg.data, NavigationReport, "navigation/status")
         if report is not None:
+            with self._lock:
+                self._situation = replace(self._situation, navigation=report)
+
+    def _on_planning(self, msg: String) -> None:
+        report = self._decode(msg.data, NavigationReport, "path_planning/status")
+        if report is not None and report.state == "failed":
             with self._lock:
                 self._situation = replace(self._situation, navigation=report)
 

@@ -15,7 +15,6 @@ import cv2
 from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate
-from hitchhike_ros.errors import PlanningError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.localization.localizer import EkfLocalizer, LocalizerParameters
 from hitchhike_ros.mapping.grid import OccupancyGrid
@@ -23,6 +22,7 @@ from hitchhike_ros.mapping.new_obstacles import NewObstacleMapper, NewObstaclesP
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.parameters import load_parameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
+from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParams
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
     Award,
@@ -38,7 +38,7 @@ from hitchhike_ros.protocol.machine import (
 )
 from hitchhike_ros.protocol.messages import encode
 from hitchhike_ros.protocol.parameters import HitchhikingParams
-from hitchhike_ros.protocol.status import GoalCommand, Status
+from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.protocol.traveller import Traveller
 from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
 from hitchhike_ros.servoing.follow import FollowLaw, FollowParameters
@@ -65,6 +65,7 @@ class ComposedRobot:
         )
         self.mapper = NewObstacleMapper(grid, load_parameters(NewObstaclesParameters, "new_obstacles", config))
         self._planner = GlobalPlanner(load_parameters(GlobalPlannerParams, "global_planner", config), self.limits)
+        self._replanner = Replanner(self._planner, load_parameters(ReplannerParams, "path_planning", config))
         avoidance = load_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance", config)
         self._avoidance = ObstacleAvoidance(self.limits, avoidance)
         self._mux = VelocityMux(load_parameters(VelocityMuxParameters, "velocity_mux", config), self.limits)
@@ -87,8 +88,7 @@ class ComposedRobot:
         self.awards: list[Award] = []
         self.taken: list[PoseEstimate] = []
         self._map, self._mapped = grid, self.mapper.obstacles
-        self._order: GoalCommand | None = None
-        self._planned_on: OccupancyGrid | None = None
+        self._plan = Plan()
         self._report: NavigationReport | None = None
         self._observations: list[MarkerObservation] = []
         self._seq = 0
@@ -120,10 +120,8 @@ class ComposedRobot:
         if modules.MAP:
             others = [(Pose2D(r.x, r.y), r.radius_m) for r in self.status.robots]
             self.mapper.update(scan, self.estimate, self._T_base_laser, others)
-        if modules.PP:
-            self._plan(self.estimate.pose)
-        if modules.OBS:
-            self._avoid(scan, now, self.estimate.pose)
+        if modules.PP and modules.OBS:
+            self._navigate(scan, now, self.estimate)
 
     def sense_image(self, now: float) -> None:
         """Look for markers, and follow, when servoing is on."""
@@ -136,10 +134,9 @@ class ComposedRobot:
         found = self._detector.detect(gray, self.body.camera_info, sizes)
         self._observations = self._detector.observe(found, self._T_base_camera, now)
         if servo.task == "follow":
-            for seen in self._observations:
-                if seen.marker_id == servo.marker_id:
-                    self._follow.see(seen, servo.feed_forward_mps)
-            self._mux.command("servoing", self._follow.step(now, servo.gap_m).twist, now)
+            seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
+            decision = self._follow.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
+            self._mux.command("servoing", decision.twist, now)
 
     def tick(self, now: float, send: Callable[[str], None], event: object = None) -> None:
         """Step the protocol with ``event`` or the passing of time, and carry out what it wants."""
@@ -156,7 +153,7 @@ class ComposedRobot:
             self._carry_out(effect, now, send)
         self.status = self.traveller.status(now)
         if self.status.goal is None:
-            self._order, self._report = None, None
+            self._report = None
             self._avoidance.clear()
 
     def drive(self, now: float) -> None:
@@ -179,27 +176,24 @@ class ComposedRobot:
         elif isinstance(effect, Award):
             self.awards.append(effect)
 
-    def _plan(self, pose: Pose2D) -> None:
+    def _navigate(self, scan: LaserScan, now: float, estimate: PoseEstimate) -> None:
         goal = self.status.goal
+        order = None if goal is None else Order(goal.id, goal.pose)
         blocked = self._report is not None and self._report.state == "blocked"
-        if goal is None or (goal == self._order and self._planned_on is self.map and not blocked):
+        plan = self._replanner.step(now, order, self.map, estimate, blocked)
+        if goal is None:
             return
-        self._order, self._planned_on = goal, self.map
-        try:
-            path = self._planner.plan(self.map, pose, goal.pose)
-        except PlanningError as exc:
-            self._report = NavigationReport(goal.id, "failed", str(exc))
+        if plan.state != "planned":
+            self._report = NavigationReport(goal.id, plan.state, plan.reason)
             return
-        self._avoidance.set_path(path, goal.pose, goal.tolerance_m, goal.tolerance_rad)
-        self._report = NavigationReport(goal.id, "driving")
-
-    def _avoid(self, scan: LaserScan, now: float, pose: Pose2D) -> None:
-        goal = self.status.goal
-        if goal is None or goal != self._order or (self._report is not None and self._report.state == "failed"):
-            return
+        if plan is not self._plan:
+            self._plan = plan
+            self._avoidance.set_path(plan.path, goal.pose, goal.tolerance_m, goal.tolerance_rad)
         twist = self.body.odometry().twist
         limit = self.status.speed_limit_mps or self.limits.max_speed_mps
-        decision = self._avoidance.step(now, pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider)
+        decision = self._avoidance.step(
+            now, estimate.pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider
+        )
         self._report = NavigationReport(goal.id, decision.state, decision.reason)
         self._mux.command("navigation", decision.twist, now)
 
@@ -241,7 +235,7 @@ class ComposedRide:
         now = self.world.now
         for robot in self.robots.values():
             robot.sense_image(now)
-            robot.sense_scan(robot.body.scan(now), now)
+            robot.sense_scan(robot.body.scan(), now)
         inbox, self.messages = self.messages, []
         for robot in self.robots.values():
             for text in inbox:
