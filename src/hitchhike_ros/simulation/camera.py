@@ -32,12 +32,12 @@ class CameraParams:
 
     width: int = 640
     height: int = 480
-    horizontal_fov_rad: Positive = math.radians(60.0)
+    horizontal_fov_deg: Positive = 60.0
 
     @property
     def info(self) -> CameraInfo:
         """Calibration. Pixel centres have integer coordinates (as in OpenCV), so the axis is at (width - 1) / 2."""
-        f = self.width / 2.0 / math.tan(self.horizontal_fov_rad / 2.0)
+        f = self.width / 2.0 / math.tan(math.radians(self.horizontal_fov_deg) / 2.0)
         K = np.array([[f, 0.0, (self.width - 1) / 2.0], [0.0, f, (self.height - 1) / 2.0], [0.0, 0.0, 1.0]])
         return CameraInfo(self.width, self.height, K)
 
@@ -48,7 +48,7 @@ class DepthCameraParams(CameraParams):
 
     width: int = 320
     height: int = 240
-    horizontal_fov_rad: Positive = math.radians(58.0)
+    horizontal_fov_deg: Positive = 58.0
     depth_min_m: Positive = 0.5
     depth_max_m: Positive = 5.0
     sigma_at_1m_m: Positive = 0.0015

@@ -49,9 +49,7 @@ class BaseController:
         limits = self._limits
         if not twist.is_finite():
             twist = Twist2D()
-        self._target = Twist2D(
-            _clamp(twist.v, limits.max_speed_mps), _clamp(twist.omega, limits.max_yaw_rate_rps)
-        )
+        self._target = Twist2D(_clamp(twist.v, limits.max_speed_mps), _clamp(twist.omega, limits.max_yaw_rate_rps))
         self._deadline = now + self._params.watchdog_s
 
     def step(self, now: float, dt: float) -> Twist2D:
@@ -84,7 +82,7 @@ class WheelOdometry:
         self.odometry = Odometry(start_s, Pose2D(), Twist2D())
 
     def update(self, stamp: float, angles: FloatArray) -> Odometry:
-        """Read the encoders: ``angles`` (2,) are those turned by the left and the right wheel since the start, in rad."""
+        """Read the encoders: ``angles`` (2,) in rad have the left and the right wheel turned since the start."""
         params, radius = self._params, self._limits.wheel_radius_m
         turned = angles - self._angles
         slip = params.slip_m * np.sqrt(np.abs(turned) * radius) / radius * self._rng.standard_normal(2)
@@ -111,9 +109,7 @@ def integrate_wheels(pose: Pose2D, left: float, right: float, separation: float)
     half = beta / 2.0
     chord = length * (math.sin(half) / half if abs(half) > 1e-6 else 1.0 - half * half / 6.0)
     heading = pose.theta + half
-    return Pose2D(
-        pose.x + chord * math.cos(heading), pose.y + chord * math.sin(heading), wrap_angle(pose.theta + beta)
-    )
+    return Pose2D(pose.x + chord * math.cos(heading), pose.y + chord * math.sin(heading), wrap_angle(pose.theta + beta))
 
 
 def _clamp(value: float, bound: float) -> float:

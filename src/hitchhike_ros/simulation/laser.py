@@ -46,9 +46,7 @@ class Laser:
         """Cast all beams from T_world_laser (4, 4) into the world of pybullet's ``client``."""
         start = T_world_laser[:3, 3]
         ends = start + self._reach_m * self._directions @ T_world_laser[:3, :3].T
-        hits = p.rayTestBatch(
-            [start.tolist()] * len(ends), ends.tolist(), numThreads=threads, physicsClientId=client
-        )
+        hits = p.rayTestBatch([start.tolist()] * len(ends), ends.tolist(), numThreads=threads, physicsClientId=client)
         true = np.array([hit[2] if hit[0] >= 0 else np.inf for hit in hits]) * self._reach_m
         params = self._params
         ranges = measure(true, params, self._rng)

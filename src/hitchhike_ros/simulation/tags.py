@@ -21,6 +21,7 @@ DICTIONARIES = {
 # White cells around the black edge: one is enough for detectors, two leave room for a blurred edge (chosen).
 QUIET_CELLS = 2
 
+
 def tag_image(family: str, tag_id: int, pixels_per_cell: int = 24) -> tuple[npt.NDArray[np.uint8], float]:
     """An upright tag with its white border, (N, N) grey, and the ratio of the picture's side to the black square's.
 
@@ -34,7 +35,7 @@ def tag_image(family: str, tag_id: int, pixels_per_cell: int = 24) -> tuple[npt.
         raise VisionError(f"tag id is {tag_id}, expected 0 to {len(dictionary.bytesList) - 1} in family {family}")
     cells = dictionary.markerSize + 2
     tag = dictionary.generateImageMarker(tag_id, cells * pixels_per_cell)
-    picture = np.pad(tag, QUIET_CELLS * pixels_per_cell, constant_values=255)
+    picture = np.pad(tag, QUIET_CELLS * pixels_per_cell, constant_values=255).astype(np.uint8)
     return picture, 1.0 + 2.0 * QUIET_CELLS / cells
 
 

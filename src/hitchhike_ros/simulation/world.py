@@ -25,7 +25,7 @@ from hitchhike_ros.simulation.camera import Renderer, load_renderer
 from hitchhike_ros.simulation.robot import FLOOR_GROUP, ROLLING_GROUP, SOLID_GROUP, Contact, Engine, SimulatedRobot
 from hitchhike_ros.simulation.tags import paste, write_tag
 from hitchhike_ros.simulation.walls import wall_mesh, write_obj
-from hitchhike_ros.simulation.world_file import Box, WorldFile, check_box, load_world
+from hitchhike_ros.simulation.world_file import Box, WorldFile, check_box, distance_to_box, load_world
 
 Steps = Annotated[int, msgspec.Meta(ge=1)]
 
@@ -59,7 +59,12 @@ class World:
     """
 
     def __init__(
-        self, world_file: WorldFile | Path | str, seed: int = 0, params: WorldParams | None = None, *, package: Path | str
+        self,
+        world_file: WorldFile | Path | str,
+        seed: int = 0,
+        params: WorldParams | None = None,
+        *,
+        package: Path | str,
     ) -> None:
         """Build it. ``package`` is the folder with ``urdf/<model>.urdf`` and ``config/<model>.yaml``.
 
@@ -124,23 +129,27 @@ class World:
 
     def reset(self) -> None:
         """Robots back to their starts, boxes as in the world file, noise as at the beginning; time goes on."""
+        for robot in self.robots.values():
+            robot.reset()
         for box_id in list(self._boxes):
             self.remove_box(box_id)
         for box in self.file.boxes:
             self.add_box(box)
-        for robot in self.robots.values():
-            robot.reset()
         self._touching.clear()
 
     def add_box(self, box: Box) -> None:
         """Put a box on the floor.
 
         Raises:
-            WorldFileError: its id is in use, or it has no extent.
+            WorldFileError: its id is in use, it has no extent, or a robot stands there.
         """
         check_box(box, "add_box", "box")
         if box.id in self._boxes:
             raise WorldFileError("add_box", "id", box.id, "an id that no box has")
+        for name, robot in self.robots.items():
+            pose, _ = robot.ground_truth()
+            if distance_to_box(pose.x, pose.y, box) < robot.limits.inscribed_m:
+                raise WorldFileError("add_box", "box", (box.x, box.y, box.w, box.b), f"a place where {name} is not")
         half = [box.w / 2, box.b / 2, box.height_m / 2]
         shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
         look = p.createVisualShape(p.GEOM_BOX, halfExtents=half, **_paint(_BOX_COLOUR), physicsClientId=self.client)
@@ -162,11 +171,11 @@ class World:
 
     def _check_starts(self) -> None:
         for name, entry in self.file.robots.items():
-            cell = self.grid.world_to_cell([[entry.start.x, entry.start.y]])
-            if not self.grid.in_bounds(cell)[0] or self.grid.data[tuple(cell[0])] != FREE:
-                raise WorldFileError(
-                    self.file.path, f"robots.{name}.start", (entry.start.x, entry.start.y), "a free place of the map"
-                )
+            x, y = entry.start.x, entry.start.y
+            cell = self.grid.world_to_cell([[x, y]])
+            free = bool(self.grid.in_bounds(cell)[0]) and self.grid.data[tuple(cell[0])] == FREE
+            if not free or any(distance_to_box(x, y, box) == 0.0 for box in self.file.boxes):
+                raise WorldFileError(self.file.path, f"robots.{name}.start", (x, y), "a free place of the map")
 
     def _build(self, seed: int, package: Path) -> None:
         client, params = self.client, self.params
@@ -174,6 +183,7 @@ class World:
         p.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         p.setTimeStep(self.dt, physicsClientId=client)
         p.setPhysicsEngineParameter(deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=client)
+        self.robots: Mapping[str, SimulatedRobot] = {}
         self._names: dict[int, str] = {}
         self._boxes: dict[str, tuple[Box, int]] = {}
         self._touching: dict[tuple[str, str], float] = {}
@@ -187,7 +197,7 @@ class World:
         engine = Engine(client, lambda: self.now, seed, renderer, params.ray_threads)
         robots = {name: SimulatedRobot(name, entry, package, engine) for name, entry in self.file.robots.items()}
         self._names.update({robot.body: name for name, robot in robots.items()})
-        self.robots: Mapping[str, SimulatedRobot] = MappingProxyType(robots)
+        self.robots = MappingProxyType(robots)
 
     def _add_floor(self) -> None:
         rows, columns = self.grid.data.shape
@@ -229,8 +239,7 @@ class World:
             0.0, shape, look, position, p.getQuaternionFromEuler([0.0, 0.0, yaw]), physicsClientId=self.client
         )
         if shape >= 0:
-            groups = SOLID_GROUP, SOLID_GROUP
-            p.setCollisionFilterGroupMask(body, -1, *groups, physicsClientId=self.client)
+            p.setCollisionFilterGroupMask(body, -1, SOLID_GROUP, SOLID_GROUP, physicsClientId=self.client)
         return int(body)
 
     def _note_contacts(self, robot: SimulatedRobot) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -82,6 +83,12 @@ def check_box(box: Box, path: Path | str, field_name: str) -> None:
     for name in ("w", "b"):
         if getattr(box, name) <= 0.0:
             raise WorldFileError(path, f"{field_name}.{name}", getattr(box, name), "more than 0 m")
+
+
+def distance_to_box(x: float, y: float, box: Obstacle) -> float:
+    """Distance in m of the point (x, y) to the box; 0 inside."""
+    dx, dy = max(box.x - x, 0.0, x - box.x - box.w), max(box.y - y, 0.0, y - box.y - box.b)
+    return math.hypot(dx, dy)
 
 
 def _robots(value: object, path: Path) -> dict[str, RobotEntry]:

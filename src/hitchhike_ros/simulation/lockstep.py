@@ -1,0 +1,67 @@
+"""Who has answered the newest sensor frames: the bookkeeping by which simulated time does not outrun the modules."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+from hitchhike_ros.protocol.status import ModuleSwitches
+
+SCAN, IMAGE = "scan", "image"
+
+# Who answers which frame, and which switches of P17 Table 3 keep it awake.
+_ANSWERS = {
+    "slam": (SCAN, ("LZN", "MAP")),
+    "obstacle_avoidance": (SCAN, ("OBS",)),
+    "visual_servoing": (IMAGE, ("VS",)),
+}
+
+
+class Lockstep:
+    """Frames that were sent and not yet answered, of all robots.
+
+    A module that lets ``patience`` frames in a row go by is not waited for until it answers again, so that one that
+    died slows nothing down.
+    """
+
+    def __init__(self, patience: int = 3) -> None:
+        self._patience = patience
+        self._on: dict[str, set[str]] = {}
+        self._awaited: dict[tuple[str, str], float] = {}
+        self._missed_in_a_row: Counter[tuple[str, str]] = Counter()
+        self.misses: Counter[tuple[str, str]] = Counter()
+
+    @property
+    def waiting_for(self) -> tuple[tuple[str, str], ...]:
+        """(robot, module) of whoever owes an answer."""
+        return tuple(self._awaited)
+
+    def set_modules(self, robot: str, modules: ModuleSwitches) -> None:
+        """What is on; a module that is switched on gets the patience of a new one, one that is off owes nothing."""
+        on = {name for name, (_, switches) in _ANSWERS.items() if any(getattr(modules, s) for s in switches)}
+        for module in on - self._on.get(robot, set()):
+            self._missed_in_a_row.pop((robot, module), None)
+        self._on[robot] = on
+        for key in [key for key in self._awaited if key[0] == robot and key[1] not in on]:
+            del self._awaited[key]
+
+    def sent(self, robot: str, sensor: str, stamp: float) -> None:
+        """A frame went out to those modules of the robot that are on."""
+        for module in self._on.get(robot, ()):
+            if _ANSWERS[module][0] == sensor and self._missed_in_a_row[robot, module] < self._patience:
+                self._awaited[robot, module] = stamp
+
+    def answered(self, robot: str, module: str, stamp: float) -> None:
+        """A module is done with the frame of that stamp, and so with all before it."""
+        key = (robot, module)
+        self._missed_in_a_row.pop(key, None)
+        if key in self._awaited and stamp > self._awaited[key] - 1e-6:
+            del self._awaited[key]
+
+    def give_up(self) -> Iterable[tuple[str, str]]:
+        """Wait no longer for these frames: whoever still owes an answer has missed one."""
+        late = self.waiting_for
+        self._awaited.clear()
+        self._missed_in_a_row.update(late)
+        self.misses.update(late)
+        return late
