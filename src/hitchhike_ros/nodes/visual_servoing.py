@@ -1,0 +1,329 @@
+"""visual_servoing: finds markers in the camera's image and rides behind one (module VS).
+
+Used alone (``~always_on``) it stands in for visp_auto_tracker: pose of one marker, with a covariance. What is published
+belongs to the image that it was seen in; a marker that is not seen has a status, and no pose.
+
+Subscribed:
+    hhike_msg/status (std_msgs/String): whether the module is on, and which marker to follow or observe
+    camera/image_raw (sensor_msgs/Image: mono8, rgb8 or bgr8), camera/camera_info (sensor_msgs/CameraInfo, plumb_bob),
+    odom (nav_msgs/Odometry): only while the module is on
+Published, once an image:
+    visual_servoing/observations (std_msgs/String): JSON of all markers seen, in base_footprint
+    visual_servoing/object_position (geometry_msgs/PoseStamped), object_position_covariance
+        (geometry_msgs/PoseWithCovarianceStamped): the marker in the frame of the image; x is its outward normal, z up
+    visual_servoing/status (std_msgs/Int8): as visp_auto_tracker: 0 no usable image, 1 seeking the marker, 3 seen
+    visual_servoing/code_message (std_msgs/String): family and id, e.g. ``36h11 id: 0``
+    visual_servoing/image_annotated (sensor_msgs/Image): only when somebody subscribes
+Published while the task is to follow:
+    cmd_vel/servoing (geometry_msgs/Twist): after each image, and a stand when images are missing
+Always:
+    /diagnostics (diagnostic_msgs/DiagnosticArray): what is followed, or why the robot stands
+Parameters:
+    ~config (path), sections ``marker_detector`` (servoing.marker_detector.MarkerDetectorParameters), ``follow``
+        (servoing.follow.FollowParameters), ``visual_servoing`` (VisualServoingParameters) and, to follow, ``robot``
+    ~urdf (path): mount of the camera (link camera_optical); without it the camera is taken for the robot's base
+    ~always_on (bool, false): on without anyone's status; then also
+    ~marker_id (int, -1): the marker, -1 for whichever is nearest; ~marker_size_m (m, 0.16); ~task (observe, or follow);
+        ~gap_m (m, 0.8)
+    ~tf_prefix: prefix of the camera's frame when the images name none
+TF: none.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import rospy
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
+from nav_msgs.msg import Odometry as OdometryMsg
+from sensor_msgs.msg import CameraInfo as CameraInfoMsg
+from sensor_msgs.msg import Image
+from std_msgs.msg import Int8, String
+
+from hitchhike_ros.datatypes import CameraInfo, FloatArray, MarkerObservation, Positive, Twist2D
+from hitchhike_ros.errors import ParameterError, SensorDataError, VisionError
+from hitchhike_ros.parameters import convert
+from hitchhike_ros.protocol.observations import encode_observations
+from hitchhike_ros.protocol.status import ServoCommand, Status
+from hitchhike_ros.robot_model import RobotLimits, mount
+from hitchhike_ros.ros_io.conversions import (
+    camera_info_from_msg,
+    image_from_msg,
+    image_to_msg,
+    odometry_from_msg,
+    quaternion_from_rotation,
+    twist_to_msg,
+)
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
+from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
+from hitchhike_ros.servoing.follow import Decision, FollowLaw, FollowParameters
+from hitchhike_ros.servoing.marker_detector import (
+    MarkerDetection,
+    MarkerDetector,
+    MarkerDetectorParameters,
+    planar_observation,
+)
+
+ANY_MARKER = -1
+# States of visp_auto_tracker; 2, 4 and 5 belong to a model-based tracker.
+NO_IMAGE, SEEKING, SEEN = 0, 1, 3
+# Distortion models that OpenCV's coefficients describe; a camera without distortion may name none.
+LENSES = ("plumb_bob", "rational_polynomial", "")
+# Optical frame (z forward, x right, y down) of a camera that looks along the robot's x axis.
+T_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class VisualServoingParameters:
+    """Section ``visual_servoing``."""
+
+    image_timeout_s: Positive = 0.3
+    """Without an image for longer than this the robot stands (chosen)."""
+    watch_period_s: Positive = 0.1
+    """How often that is looked at (chosen)."""
+    start_s: Positive = 1.0
+    """For so long after being switched on, what is missing is not called an error (chosen)."""
+
+
+class VisualServoing:
+    """Odometry is stored as it comes; each image, or its absence, steps detector and law under one lock."""
+
+    def __init__(self) -> None:
+        self._params = node_parameters(VisualServoingParameters, "visual_servoing")
+        detector_params = node_parameters(MarkerDetectorParameters, "marker_detector")
+        self._family = detector_params.family
+        self._detector = MarkerDetector(detector_params)
+        self._T_base_camera: FloatArray = (
+            mount(path_parameter("urdf"), "camera_optical") if rospy.has_param("~urdf") else T_FORWARD_OPTICAL
+        )
+        self._law: FollowLaw | None = None
+        if rospy.has_param("~config"):
+            limits = node_parameters(RobotLimits, "robot")
+            self._law = FollowLaw(
+                node_parameters(FollowParameters, "follow"), limits, camera_x_m=float(self._T_base_camera[0, 3])
+            )
+        self._camera_frame = frame("camera_optical")
+        self._lock = threading.RLock()
+        self._servo: ServoCommand | None = None
+        self._info: CameraInfo | None = None
+        self._lens = ""
+        self._odometry_problem = ""
+        self._on_since = self._image_at = 0.0
+        self._timer: rospy.Timer | None = None
+
+        self._commands = rospy.Publisher("cmd_vel/servoing", Twist, queue_size=1, tcp_nodelay=True)
+        self._observations = self._output("observations", String)
+        self._poses = self._output("object_position", PoseStamped)
+        self._poses_covariance = self._output("object_position_covariance", PoseWithCovarianceStamped)
+        self._states = self._output("status", Int8)
+        self._codes = self._output("code_message", String)
+        self._annotated = self._output("image_annotated", Image)
+        self._answer = LockstepAnswer("visual_servoing")
+        self._diagnostics = Diagnostics("visual_servoing")
+        self._switch = Switch(
+            [
+                ("odom", OdometryMsg, self._on_odometry),
+                ("camera/camera_info", CameraInfoMsg, self._on_camera_info),
+                ("camera/image_raw", Image, self._on_image),
+            ]
+        )
+        if rospy.get_param("~always_on", False):
+            self._turn(self._own_command())
+        else:
+            self._turn(None)
+            self._listener = StatusListener(self._on_status, self._diagnostics)
+
+    @staticmethod
+    def _output(name: str, cls: type) -> rospy.Publisher:
+        return rospy.Publisher(f"visual_servoing/{name}", cls, queue_size=1, tcp_nodelay=True)
+
+    def _own_command(self) -> ServoCommand:
+        """What to do without anyone's status.
+
+        Raises:
+            ParameterError: a private parameter is of the wrong type, out of range or missing.
+        """
+        given = {
+            name: rospy.get_param(f"~{name}")
+            for name in ("task", "marker_id", "marker_size_m", "gap_m")
+            if rospy.has_param(f"~{name}")
+        }
+        servo = convert({"task": "observe", "marker_id": ANY_MARKER, **given}, ServoCommand, rospy.get_name())
+        if servo.task not in ("observe", "follow"):
+            raise ParameterError(rospy.get_name(), "~task", servo.task, "observe or follow")
+        if servo.task == "follow" and self._law is None:
+            raise ParameterError(rospy.get_name(), "~config", "", "a file with a section robot, to follow")
+        return servo
+
+    # Switching.
+
+    def _on_status(self, status: Status) -> None:
+        self._turn(status.servo if status.modules.VS else None)
+
+    def _turn(self, servo: ServoCommand | None) -> None:
+        with self._lock:
+            before, self._servo = self._servo, servo
+            followed = (before.task, before.marker_id) if before is not None else None
+            if servo is None or (servo.task, servo.marker_id) != followed:
+                if self._law is not None:
+                    self._law.reset()
+                if before is not None and before.task == "follow":
+                    self._commands.publish(twist_to_msg(Twist2D()))
+            if self._switch.set(servo is not None):
+                if servo is not None:
+                    self._info, self._lens, self._odometry_problem = None, "", ""
+                    self._image_at = self._on_since = rospy.get_time()
+                    period = rospy.Duration(self._params.watch_period_s)
+                    self._timer = rospy.Timer(period, self._watch, reset=True)
+                elif self._timer is not None:
+                    self._timer.shutdown()
+                    self._timer = None
+            if servo is None:
+                self._diagnostics.set(OK, "off")
+
+    # Sensors.
+
+    def _on_odometry(self, msg: OdometryMsg) -> None:
+        with self._lock:
+            try:
+                odometry = odometry_from_msg(msg)
+                if self._law is not None:
+                    self._law.add_odometry(odometry)
+            except SensorDataError as exc:
+                # What it did meanwhile is not known: the trail is no longer where it was.
+                if self._law is not None:
+                    self._law.reset()
+                self._odometry_problem = str(exc)
+                self._diagnostics.count("bad_odometry")
+                return
+            self._odometry_problem = ""
+
+    def _on_camera_info(self, msg: CameraInfoMsg) -> None:
+        with self._lock:
+            self._info = camera_info_from_msg(msg) if msg.distortion_model in LENSES else None
+            self._lens = msg.distortion_model
+
+    def _on_image(self, msg: Image) -> None:
+        with self._lock:
+            servo = self._servo
+            if servo is None:
+                return
+            self._image_at = rospy.get_time()
+            stamp = msg.header.stamp.to_sec()
+            problem, detections = "", []
+            try:
+                detections = self._detect(msg, servo, stamp)
+            except (SensorDataError, VisionError) as exc:
+                problem = str(exc)
+                self._diagnostics.count("bad_images")
+            observations = [planar_observation(d, self._T_base_camera, stamp) for d in detections]
+            target = self._target(detections, servo)
+            self._publish(msg, stamp, observations, target, bool(problem))
+            seen = next((o for o, d in zip(observations, detections, strict=True) if d is target), None)
+            self._step(servo, seen, problem)
+            self._answer(stamp)
+
+    def _detect(self, msg: Image, servo: ServoCommand, stamp: float) -> list[MarkerDetection]:
+        if self._info is None:
+            reason = (
+                f"distortion model {self._lens!r} in it, expected one of {LENSES}" if self._lens else "none received"
+            )
+            raise SensorDataError(f"no camera_info: {reason}")
+        pixels = image_from_msg(msg)
+        if pixels.ndim == 3:
+            to_gray = cv2.COLOR_RGB2GRAY if msg.encoding == "rgb8" else cv2.COLOR_BGR2GRAY
+            pixels = cv2.cvtColor(pixels, to_gray)
+        sizes = {servo.marker_id: servo.marker_size_m} if servo.marker_id != ANY_MARKER else {}
+        gray = np.ascontiguousarray(pixels)  # copies only where rows are padded
+        return self._detector.resolve(self._detector.detect(gray, self._info, sizes), self._T_base_camera, stamp)
+
+    @staticmethod
+    def _target(detections: list[MarkerDetection], servo: ServoCommand) -> MarkerDetection | None:
+        wanted = [d for d in detections if servo.marker_id in (d.id, ANY_MARKER)]
+        return min(wanted, key=lambda d: float(np.linalg.norm(d.T_camera_marker[:3, 3])), default=None)
+
+    # The one place that steps the law.
+
+    def _step(self, servo: ServoCommand, seen: MarkerObservation | None, problem: str) -> None:
+        now = rospy.get_time()
+        # The first image may come before the first camera_info.
+        bad = ERROR if now - self._on_since > self._params.start_s else WARN
+        if servo.task != "follow":
+            self._diagnostics.set(bad if problem else OK, problem or "observing")
+            return
+        if self._law is None:
+            self._diagnostics.set(ERROR, "cannot follow: no ~config with a section robot")
+            return
+        decision = self._law.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
+        problem = problem or self._odometry_problem
+        if problem:
+            decision = Decision(Twist2D(), "stopped", problem)
+        self._commands.publish(twist_to_msg(decision.twist))
+        level = {"following": OK, "searching": WARN}.get(decision.state, bad)
+        gap = "" if decision.gap_m is None else round(decision.gap_m, 3)
+        message = f"{decision.state}: {decision.reason}" if decision.reason else decision.state
+        self._diagnostics.set(level, message, gap_m=gap)
+
+    def _watch(self, _event: rospy.timer.TimerEvent) -> None:
+        """Images that stay away must not leave the robot driving."""
+        with self._lock:
+            servo = self._servo
+            if servo is None:
+                return
+            now = rospy.get_time()
+            silent = now - self._image_at
+            if not 0.0 <= silent <= self._params.image_timeout_s:
+                self._states.publish(Int8(NO_IMAGE))
+                self._step(servo, None, f"no image for {silent:.1f} s")
+
+    # Output.
+
+    def _publish(
+        self,
+        image: Image,
+        stamp: float,
+        observations: list[MarkerObservation],
+        target: MarkerDetection | None,
+        unusable: bool,
+    ) -> None:
+        self._observations.publish(String(encode_observations(stamp, observations)))
+        self._states.publish(Int8(NO_IMAGE if unusable else SEEN if target is not None else SEEKING))
+        if target is not None:
+            self._codes.publish(String(f"{self._family} id: {target.id}"))
+            msg = PoseWithCovarianceStamped(header=image.header)
+            msg.header.frame_id = image.header.frame_id or self._camera_frame
+            T = target.T_camera_marker
+            msg.pose.pose.position.x, msg.pose.pose.position.y, msg.pose.pose.position.z = T[:3, 3].tolist()
+            msg.pose.pose.orientation = quaternion_from_rotation(T[:3, :3])
+            msg.pose.covariance = target.solutions[0].covariance.ravel().tolist()
+            self._poses.publish(PoseStamped(msg.header, msg.pose.pose))
+            self._poses_covariance.publish(msg)
+        if self._annotated.get_num_connections():
+            self._publish_annotated(image, stamp, observations, target)
+
+    def _publish_annotated(
+        self, image: Image, stamp: float, observations: list[MarkerObservation], target: MarkerDetection | None
+    ) -> None:
+        """The image with the marker's outline, and its distance and bearing as text."""
+        try:
+            pixels = image_from_msg(image)
+        except SensorDataError:  # said in /diagnostics already
+            return
+        picture = cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB) if pixels.ndim == 2 else pixels.copy()
+        text = f"{len(observations)} markers"
+        if target is not None:
+            cv2.polylines(picture, [np.rint(target.corners).astype(np.int32)], True, (0, 255, 0), 2, cv2.LINE_AA)
+            x, y, z = target.T_camera_marker[:3, 3]
+            range_m, bearing_deg = np.linalg.norm((x, y, z)), np.degrees(np.arctan2(-x, z))
+            text = f"{self._family} id {target.id}: {range_m:.2f} m, bearing {bearing_deg:.0f} deg"
+        cv2.putText(picture, text, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 255, 0), 2, cv2.LINE_AA)
+        encoding = "rgb8" if pixels.ndim == 2 else image.encoding
+        self._annotated.publish(image_to_msg(picture, stamp, image.header.frame_id, encoding))
+
+
+def main() -> None:
+    """Entry point of ``rosrun hitchhike_ros visual_servoing``."""
+    run("visual_servoing", VisualServoing)
