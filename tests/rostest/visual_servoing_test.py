@@ -102,6 +102,11 @@ class Robot:
         with self._lock:
             return self._received[name][-1][1] if self._received.get(name) else None
 
+    def diagnosis(self):
+        """What /diagnostics said last."""
+        status = self.newest("diagnostics")
+        return "" if status is None else status.message
+
     def since(self, name, start):
         with self._lock:
             return [(at, msg) for at, msg in self._received.get(name, []) if at >= start]
@@ -175,7 +180,7 @@ class VisualServoingTest(unittest.TestCase):
     def test_observing_does_not_drive(self):
         self.drives()
         self.robot.order(ServoCommand("observe", 0))
-        wait_until(lambda: self.robot.newest("diagnostics").message == "observing", "observing")
+        wait_until(lambda: self.robot.diagnosis() == "observing", "observing")
         start = time.monotonic()
         wait_until(lambda: len(self.robot.since("visual_servoing/observations", start)) >= 5, "observations")
         self.assertEqual(self.robot.since("cmd_vel/servoing", start), [])
@@ -245,7 +250,7 @@ class VisualServoingTest(unittest.TestCase):
         wait_until(lambda: not self.robot.sensors_subscribed(), "off")
         wait_until(lambda: self.robot.newest("cmd_vel/servoing").linear.x == 0.0, "a last stand")
         start = time.monotonic()
-        wait_until(lambda: self.robot.newest("diagnostics").message == "off", "off in /diagnostics")
+        wait_until(lambda: self.robot.diagnosis() == "off", "off in /diagnostics")
         for name in ("cmd_vel/servoing", "visual_servoing/observations", "visual_servoing/status"):
             self.assertEqual(self.robot.since(name, start + 0.2), [])
 
@@ -256,7 +261,7 @@ class VisualServoingTest(unittest.TestCase):
         wait_until(lambda: self.alone.newest("visual_servoing/object_position"), "a pose")
         self.assertAlmostEqual(self.alone.newest("visual_servoing/object_position").pose.position.z, 2.0, delta=0.1)
         self.assertIsNone(self.alone.newest("cmd_vel/servoing"))
-        wait_until(lambda: self.alone.newest("diagnostics").message == "observing", "observing")
+        wait_until(lambda: self.alone.diagnosis() == "observing", "observing")
 
 
 if __name__ == "__main__":
