@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.datatypes import CameraInfo
 from hitchhike_ros.errors import VisionError
-from hitchhike_ros.geometry import pose_from_matrix, wrap_angle
+from hitchhike_ros.geometry import matrix_from_xyz_rpy, pose_from_matrix, wrap_angle
 from hitchhike_ros.servoing.marker_detector import (
     MarkerDetection,
     MarkerDetector,
@@ -187,12 +187,13 @@ def test_previous_image_decides_between_two_poses():
     assert in_sequence == 0
 
 
-def test_upright_marker_is_preferred_to_a_leaning_one():
-    """A plate above the camera's height: its mirrored pose leans."""
+@pytest.mark.parametrize("roll", [0.0, math.pi])
+def test_upright_marker_is_preferred_to_a_leaning_one(roll):
+    """A plate above the camera's height: its mirrored pose leans. Hung upside down it is as good."""
     rng = np.random.default_rng(5)
     leaning = 0
     detector = MarkerDetector()
-    T = images.marker_pose(2.0, 0.0, 0.0, 0.0, -0.5)
+    T = images.marker_pose(2.0, 0.0, 0.0, 0.0, -0.5) @ matrix_from_xyz_rpy((0.0, 0.0, 0.0), (roll, 0.0, 0.0))
     for i in range(50):
         [resolved] = detector.resolve(detections_with_noise(detector, T, 0.4, rng), T_BASE_CAMERA, LONG * i)
         leaning += angle_between(resolved.T_camera_marker[:3, :3], T[:3, :3]) > math.radians(18)

@@ -148,7 +148,8 @@ class MarkerDetector:
             costs = []
             for solution in detection.solutions:
                 T_base_marker = T_base_camera @ solution.T_camera_marker
-                tilt = math.acos(max(-1.0, min(1.0, float(T_base_marker[2, 2]))))
+                # Upright is also who hangs upside down.
+                tilt = math.acos(min(1.0, abs(float(T_base_marker[2, 2]))))
                 step = wrap_angle(pose_from_matrix(T_base_marker).theta - yaw_then) if recent else 0.0
                 costs.append(solution.chi2 + (tilt / p.upright_sigma_rad) ** 2 + (step / p.yaw_step_sigma_rad) ** 2)
             best = _weighted(detection.id, detection.corners, detection.solutions, costs)
