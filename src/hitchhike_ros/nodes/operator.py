@@ -10,7 +10,7 @@ Subscribed, for each robot:
     /<robot>/amcl_pose (geometry_msgs/PoseWithCovarianceStamped)
 Parameters:
     ~world (path): start and goal of each robot
-    ~robots (string, default all): names, separated by blanks, of the robots that get a goal
+    ~robots (string, default all): names, separated by blanks, of the robots that it starts
     ~position_sigma_m (0.05), ~heading_sigma_rad (0.03): error of the start poses
     ~seed (int, 0): of that error
     ~goals (mapping, default empty): other goals than the world file's, {robot: {x, y, theta}}
@@ -54,8 +54,9 @@ class Operator:
         random = np.random.default_rng(int(rospy.get_param("~seed", 0)))
         deadline = time.monotonic() + float(rospy.get_param("~deadline_s", 120.0))
         robots = [
-            _Robot(name, spec, goals.get(name, spec.goal) if name in chosen else None, random)
+            _Robot(name, spec, goals.get(name, spec.goal), random)
             for name, spec in world.robots.items()
+            if name in chosen
         ]
         while not rospy.is_shutdown() and (waiting := [robot.name for robot in robots if not robot.insist()]):
             if time.monotonic() > deadline:
