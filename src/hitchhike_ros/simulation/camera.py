@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import importlib.util
 import math
@@ -59,13 +60,19 @@ class Camera:
 
     def __init__(self, params: CameraParams, renderer: int) -> None:
         self.info = params.info
-        self._renderer = renderer
+        self._renderer, self._flags = renderer, int(p.ER_NO_SEGMENTATION_MASK)
+        if renderer == p.ER_BULLET_HARDWARE_OPENGL:
+            # The only mode in which this renderer leaves out its shadow map, two thirds of the cost. What it projects
+            # are the textures of bodies, and there are none.
+            self._flags |= int(p.ER_USE_PROJECTIVE_TEXTURE)
+        # TinyRenderer samples a pixel at its corner: this moves its picture by the half pixel that is missing.
+        corner = 1.0 if renderer == p.ER_TINY_RENDERER else 0.0
         f = self.info.K[0, 0]
         near, far = _NEAR_M, _FAR_M
         self._projection = np.array(
             [
-                [2.0 * f / params.width, 0.0, 0.0, 0.0],
-                [0.0, 2.0 * f / params.height, 0.0, 0.0],
+                [2.0 * f / params.width, 0.0, corner / params.width, 0.0],
+                [0.0, 2.0 * f / params.height, corner / params.height, 0.0],
                 [0.0, 0.0, -(far + near) / (far - near), -2.0 * far * near / (far - near)],
                 [0.0, 0.0, -1.0, 0.0],
             ]
@@ -84,10 +91,11 @@ class Camera:
     def _render(self, client: int, T_world_optical: FloatArray) -> tuple[npt.NDArray[np.uint8], FloatArray]:
         # OpenGL's camera looks along -z with y up, the optical frame along z with y down (REP 103).
         T_gl_world = np.linalg.inv(T_world_optical @ np.diag([1.0, -1.0, -1.0, 1.0]))
+        view = T_gl_world.T.ravel().tolist()
         _, _, rgba, depth, _ = p.getCameraImage(
             self.info.width,
             self.info.height,
-            T_gl_world.T.ravel().tolist(),
+            view,
             self._projection,
             lightDirection=[-0.5, -0.3, 1.0],
             lightAmbientCoeff=0.65,
@@ -95,7 +103,9 @@ class Camera:
             lightSpecularCoeff=0.0,
             shadow=0,
             renderer=self._renderer,
-            flags=p.ER_NO_SEGMENTATION_MASK,
+            flags=self._flags,
+            projectiveTextureView=view,
+            projectiveTextureProj=self._projection,
             physicsClientId=client,
         )
         shape = (self.info.height, self.info.width)
@@ -124,10 +134,11 @@ def load_renderer(client: int, wanted: Renderer) -> int:
     plugin = _egl_plugin()
     if wanted == "tiny" or plugin is None or (wanted == "auto" and not egl_works()):
         return int(p.ER_TINY_RENDERER)
-    with _silenced():
+    with silenced():
         p.loadPlugin(plugin, "_eglRendererPlugin", physicsClientId=client)
         # The first picture is slow and makes the driver talk.
-        p.getCameraImage(8, 8, renderer=p.ER_BULLET_HARDWARE_OPENGL, physicsClientId=client)
+        flags = p.ER_USE_PROJECTIVE_TEXTURE
+        p.getCameraImage(8, 8, renderer=p.ER_BULLET_HARDWARE_OPENGL, flags=flags, physicsClientId=client)
     return int(p.ER_BULLET_HARDWARE_OPENGL)
 
 
@@ -157,9 +168,11 @@ def _egl_plugin() -> str | None:
 
 
 @contextmanager
-def _silenced() -> Iterator[None]:
+def silenced() -> Iterator[None]:
     """Send what C code prints to nowhere: the graphics driver's chatter would spoil the console."""
+    flush = ctypes.CDLL(None).fflush  # of C's own buffers
     sys.stdout.flush()
+    flush(None)
     saved = os.dup(1), os.dup(2)
     try:
         with open(os.devnull, "wb") as sink:
@@ -167,6 +180,7 @@ def _silenced() -> Iterator[None]:
             os.dup2(sink.fileno(), 2)
         yield
     finally:
+        flush(None)
         for target, copy in zip((1, 2), saved, strict=True):
             os.dup2(copy, target)
             os.close(copy)

@@ -22,7 +22,7 @@ from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
 from hitchhike_ros.simulation.camera import Camera, CameraParams, DepthCamera, DepthCameraParams
 from hitchhike_ros.simulation.drive import BaseController, DriveParams, OdometryParams, WheelOdometry
 from hitchhike_ros.simulation.laser import Laser, LaserParams
-from hitchhike_ros.simulation.tags import paste, write_tag
+from hitchhike_ros.simulation.tags import write_tag
 from hitchhike_ros.simulation.world_file import RobotEntry
 
 # Bits of pybullet's collision filter: wheels and casters touch the floor alone, everything else also its like. Rays
@@ -30,12 +30,14 @@ from hitchhike_ros.simulation.world_file import RobotEntry
 SOLID_GROUP, FLOOR_GROUP, ROLLING_GROUP = 1, 2, 4
 
 _WHEELS = ("wheel_left", "wheel_right")
-# The picture on the plate: a link of its own, since a texture covers all shapes of a link.
 _TAG_LINK = """<robot>
 <joint name="tag_joint" type="fixed"><parent link="marker"/><child link="tag"/></joint>
 <link name="tag">
 <inertial><mass value="0.001"/><inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/></inertial>
-<visual><geometry><mesh filename="{mesh}"/></geometry></visual>
+<visual><geometry><mesh filename="{black}"/></geometry>
+<material name="tag_black"><color rgba="0 0 0 1"/></material></visual>
+<visual><geometry><mesh filename="{white}"/></geometry>
+<material name="tag_white"><color rgba="1 1 1 1"/></material></visual>
 </link></robot>"""
 
 
@@ -218,6 +220,9 @@ class SimulatedRobot:
             info = p.getJointInfo(body, i, physicsClientId=client)
             links[info[12].decode()] = i
             joints[info[1].decode()] = i
+        # Matte: a highlight on a marker would hide it.
+        for shape in p.getVisualShapeData(body, physicsClientId=client):
+            p.changeVisualShape(body, shape[1], specularColor=[0.0] * 3, physicsClientId=client)
         for name, link in links.items():
             rolling = name.startswith(("wheel", "caster"))
             friction = 1.0 if name in _WHEELS else 0.0 if rolling else 0.3
@@ -235,7 +240,7 @@ class SimulatedRobot:
 
 
 def _load_body(client: int, urdf: Path, marker: Marker | None) -> int:
-    """Load a URDF, with the marker's picture on its plate; the body's id.
+    """Load a URDF, with the marker on its plate; the body's id.
 
     Bare frames are left out: pybullet would take them for bodies of 1 kg.
     """
@@ -249,20 +254,16 @@ def _load_body(client: int, urdf: Path, marker: Marker | None) -> int:
         if ends & frames:
             root.remove(joint)
     with tempfile.TemporaryDirectory() as folder:
-        image = None
         if marker is not None:
-            mesh, image = write_tag(marker, Path(folder))
-            root.extend(ElementTree.fromstring(_TAG_LINK.format(mesh=mesh)))
+            black, white = write_tag(marker, Path(folder))
+            root.extend(ElementTree.fromstring(_TAG_LINK.format(black=black, white=white)))
         file = Path(folder) / urdf.name
         file.write_bytes(ElementTree.tostring(root))
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_IMPLICIT_CYLINDER
         try:
-            body = int(p.loadURDF(str(file), flags=flags, physicsClientId=client))
+            return int(p.loadURDF(str(file), flags=flags, physicsClientId=client))
         except p.error as exc:
             raise RobotModelError(urdf, "", str(exc), "a URDF that pybullet can load") from exc
-        if image is not None:
-            paste(client, body, p.getNumJoints(body, physicsClientId=client) - 1, image)
-    return body
 
 
 def _matrix(position: tuple[float, float, float], quaternion: tuple[float, float, float, float]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""AprilTags as pictures, and as textured plates of the simulated world."""
+"""AprilTags of the simulated world, as meshes: a renderer without textures shows them too."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-import pybullet as p
 
 from hitchhike_ros.datatypes import Marker
 from hitchhike_ros.errors import VisionError
@@ -22,8 +21,8 @@ DICTIONARIES = {
 QUIET_CELLS = 2
 
 
-def tag_image(family: str, tag_id: int, pixels_per_cell: int = 24) -> tuple[npt.NDArray[np.uint8], float]:
-    """An upright tag with its white border, (N, N) grey, and the ratio of the picture's side to the black square's.
+def tag_cells(family: str, tag_id: int) -> npt.NDArray[np.bool_]:
+    """The cells (N, N) of an upright tag with its white border, top row first; true is white.
 
     Raises:
         VisionError: unknown family, or the family has no such id.
@@ -33,39 +32,33 @@ def tag_image(family: str, tag_id: int, pixels_per_cell: int = 24) -> tuple[npt.
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
     if not 0 <= tag_id < len(dictionary.bytesList):
         raise VisionError(f"tag id is {tag_id}, expected 0 to {len(dictionary.bytesList) - 1} in family {family}")
-    cells = dictionary.markerSize + 2
-    tag = dictionary.generateImageMarker(tag_id, cells * pixels_per_cell)
-    picture = np.pad(tag, QUIET_CELLS * pixels_per_cell, constant_values=255).astype(np.uint8)
-    return picture, 1.0 + 2.0 * QUIET_CELLS / cells
+    tag = dictionary.generateImageMarker(tag_id, dictionary.markerSize + 2) > 0
+    return np.pad(tag, QUIET_CELLS, constant_values=True)
 
 
 def write_tag(marker: Marker, folder: Path, board_m: float = 0.0) -> tuple[Path, Path]:
-    """A mesh (OBJ) in the marker's frame (x outward normal, z up) and its picture (PNG), seen from outside only.
+    """Two meshes (OBJ) in the marker's frame (x outward normal, z up): the black cells and the white ones.
 
     ``board_m`` is the thickness of the board it is printed on: the EGL renderer's depth has 16 bits, so what lies
-    closer than some millimetres behind the picture would shine through it.
+    closer than some millimetres behind the tag would shine through it.
 
     Raises:
-        VisionError: as :func:`tag_image`.
+        VisionError: as :func:`tag_cells`.
     """
-    picture, ratio = tag_image(marker.family, marker.id)
-    half = ratio * marker.size_m / 2.0
-    stem = f"tag_{marker.family}_{marker.id}"
-    image, mesh = folder / f"{stem}.png", folder / f"{stem}.obj"
-    cv2.imwrite(str(image), picture)
-    # Who looks along -x with z up has +y to the right: there the picture's right edge (u = 1) belongs.
-    corners = ((-half, -half, 0, 0), (half, -half, 1, 0), (half, half, 1, 1), (-half, half, 0, 1))
-    lines = [f"v {board_m} {y} {z}" for y, z, _, _ in corners]
-    lines += [f"vt {u} {v}" for _, _, u, v in corners]
-    lines += ["vn 1 0 0", "f 1/1/1 2/2/1 3/3/1", "f 1/1/1 3/3/1 4/4/1"]
-    mesh.write_text("\n".join(lines) + "\n", encoding="ascii")
-    return mesh, image
-
-
-def paste(client: int, body: int, link: int, image: Path) -> None:
-    """Put the picture of :func:`write_tag` on its mesh, the visual shape of a body's link."""
-    texture = p.loadTexture(str(image), physicsClientId=client)
-    matte = [0.0, 0.0, 0.0]
-    p.changeVisualShape(
-        body, link, textureUniqueId=texture, rgbaColor=[1.0] * 4, specularColor=matte, physicsClientId=client
-    )
+    cells = tag_cells(marker.family, marker.id)
+    n = len(cells)
+    # Who looks along -x with z up has +y to the right: rows go down z, columns go up y. All cells share one lattice of
+    # vertices, which leaves no cracks between them.
+    edges = (np.arange(n + 1) - n / 2.0) * marker.size_m / (n - 2 * QUIET_CELLS)
+    lattice = [f"v {board_m} {y:.6f} {-z:.6f}" for z in edges for y in edges]
+    paths = []
+    for colour, mask in (("black", ~cells), ("white", cells)):
+        faces = []
+        for row, column in np.argwhere(mask):
+            a = row * (n + 1) + column + 1  # top left, counted from 1
+            a, b, c, d = (f"{i}//1" for i in (a, a + n + 1, a + n + 2, a + 1))  # counter-clockwise from outside
+            faces += [f"f {a} {b} {c}", f"f {a} {c} {d}"]
+        path = folder / f"tag_{marker.family}_{marker.id}_{colour}.obj"
+        path.write_text("\n".join([*lattice, "vn 1 0 0", *faces]) + "\n", encoding="ascii")
+        paths.append(path)
+    return paths[0], paths[1]

@@ -21,9 +21,9 @@ from hitchhike_ros.datatypes import Marker, Positive
 from hitchhike_ros.errors import WorldFileError
 from hitchhike_ros.mapping.grid import FREE
 from hitchhike_ros.mapping.map_file import load_map
-from hitchhike_ros.simulation.camera import Renderer, load_renderer
+from hitchhike_ros.simulation.camera import Renderer, load_renderer, silenced
 from hitchhike_ros.simulation.robot import FLOOR_GROUP, ROLLING_GROUP, SOLID_GROUP, Contact, Engine, SimulatedRobot
-from hitchhike_ros.simulation.tags import paste, write_tag
+from hitchhike_ros.simulation.tags import write_tag
 from hitchhike_ros.simulation.walls import wall_mesh, write_obj
 from hitchhike_ros.simulation.world_file import Box, WorldFile, check_box, distance_to_box, load_world
 
@@ -95,7 +95,8 @@ class World:
     def close(self) -> None:
         """Give back pybullet's client; the world cannot be used afterwards."""
         if p.isConnected(self.client):
-            p.disconnect(self.client)
+            with silenced():
+                p.disconnect(self.client)
 
     @property
     def now(self) -> float:
@@ -228,10 +229,11 @@ class World:
         self._names[self._add_static(shape, look, [0.0, 0.0, 0.0])] = "walls"
 
     def _add_marker(self, marker: Marker, folder: Path) -> None:
-        mesh, image = write_tag(marker, folder, _BOARD_M)
-        look = p.createVisualShape(p.GEOM_MESH, fileName=str(mesh), physicsClientId=self.client)
-        body = self._add_static(-1, look, [marker.x, marker.y, marker.z], marker.yaw)
-        paste(self.client, body, -1, image)
+        for mesh, grey in zip(write_tag(marker, folder, _BOARD_M), (0.0, 1.0), strict=True):
+            look = p.createVisualShape(
+                p.GEOM_MESH, fileName=str(mesh), **_paint((grey, grey, grey, 1.0)), physicsClientId=self.client
+            )
+            self._add_static(-1, look, [marker.x, marker.y, marker.z], marker.yaw)
 
     def _add_static(self, shape: int, look: int, position: list[float], yaw: float = 0.0) -> int:
         """A body that never moves; its id."""
