@@ -313,6 +313,15 @@ def test_saturation_keeps_the_curvature(v, omega):
     assert twist.v * omega == pytest.approx(twist.omega * v, abs=1e-9)
 
 
+def test_a_new_ride_elsewhere_does_not_lead_back_to_the_old_trail():
+    law = FollowLaw(FollowParameters(), LIMITS, 0.0)
+    law.step(0.0, observation(0.0), Odometry(0.0, Pose2D(), Twist2D()), GAP)
+    # It drove on by itself and stands now 5 m to the left of where the trail ended.
+    twist = law.step(60.0, observation(60.0), Odometry(60.0, Pose2D(1.0, 5.0, 0.0), Twist2D()), GAP).twist
+    assert twist.v > 0.1
+    assert abs(twist.omega) < 0.01
+
+
 def test_an_image_between_two_readings_of_the_wheels_counts_from_the_pose_in_between():
     law = FollowLaw(FollowParameters(), LIMITS, 0.0)
     law.add_odometry(Odometry(0.0, Pose2D(0.0, 0.0, 3.1), Twist2D()))

@@ -26,6 +26,8 @@ ODOMETRY_SIGMA_M = 0.003
 STANDING_MPS = 0.05
 # The follower's place on the trail is sought this far ahead of the last one, so that a loop is not cut short (chosen).
 REACH_M = 1.0
+# A follower farther than this from the trail of a driver that it lost does not go back to it (chosen).
+STRAY_M = 0.5
 
 State = Literal["searching", "following", "lost", "stopped"]
 
@@ -162,6 +164,9 @@ class FollowLaw:
             if observation.stamp - self._driver.stamp > p.lost_timeout_s:
                 # What it did meanwhile was not seen: its speed is unknown again, the way to it is taken as straight.
                 self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance)
+                place = self._trail.at(self._trail.advance(own.x, own.y))
+                if math.hypot(place[0] - own.x, place[1] - own.y) > STRAY_M:  # it went its own way meanwhile
+                    self._trail = Trail((own.x, own.y), self._driver.axle)
             else:
                 self._driver.update(observation.stamp, marker, observation.covariance)
             self._trail.extend(self._driver.axle, self._driver.heading, p.trail_step_m)
