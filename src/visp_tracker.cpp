@@ -45,12 +45,6 @@ const std::vector<std::pair<std::string, Family>> families = {
     {"circle21h7", vpDetectorAprilTag::TAG_CIRCLE21h7},
 };
 
-std::vector<std::string> family_names() {
-  std::vector<std::string> names;
-  for (const auto &[name, family] : families) names.push_back(name);
-  return names;
-}
-
 Family family_of(const std::string &wanted) {
   std::string known;
   for (const auto &[name, family] : families) {
@@ -215,7 +209,6 @@ PYBIND11_MODULE(_visp_tracker, m) {
   py::register_exception<InvalidInput>(m, "InvalidInputError", base);
   py::register_exception<vpException>(m, "VispError", base);
 
-  m.def("family_names", &family_names, "Names of the tag families that ViSP detects.");
   m.def("square_poses", &square_poses, py::arg("corners"), py::arg("size"),
         "Poses of a square from its four corners (4, 2) in normalised, undistorted image coordinates, lower left first\n"
         "and counter-clockwise: a list, best first, of (T_camera_tag (4, 4), RMS residual). One or two of them (the\n"
