@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate, Positive, Twist2D
 from hitchhike_ros.geometry import compose, compose_jacobians, inverse, inverse_jacobian, wrap_angle, wrap_angles
@@ -99,13 +98,7 @@ class Ekf:
 
     def associate(self, observation: LandmarkObservation, landmarks: Landmarks) -> int | None:
         """Index of the most likely landmark (P18 Eqs. 14-18); None when even that one is outside the gate."""
-        if not len(landmarks):
-            return None
-        innovations, H = _innovations(self._pose, observation, landmarks)
-        S = H @ self._P @ H.transpose(0, 2, 1) + observation.covariance
-        squared = np.einsum("ni,ni->n", innovations, np.linalg.solve(S, innovations[:, :, None])[:, :, 0])
-        best = int(np.argmin(squared + np.log(np.linalg.det(S))))
-        return best if squared[best] <= self._parameters.gate else None
+        return self._associate(observation, *_innovations(self._pose, observation, landmarks))
 
     def update_landmark(
         self, observation: LandmarkObservation, landmarks: Landmarks, index: int | None = None
@@ -120,13 +113,12 @@ class Ekf:
         Returns:
             The index of the landmark used, None where none explains the observation.
         """
+        innovations, H = _innovations(self._pose, observation, landmarks)
         if index is None:
-            index = self.associate(observation, landmarks)
+            index = self._associate(observation, innovations, H)
             if index is None:
                 return None
-        one = Landmarks(landmarks.positions[index : index + 1], landmarks.signatures[index : index + 1])
-        innovations, H = _innovations(self._pose, observation, one)
-        return index if self._update(innovations[0], H[0], observation.covariance) else None
+        return index if self._update(innovations[index], H[index], observation.covariance) else None
 
     def update_marker(self, observation: MarkerObservation, T_map_marker: Pose2D) -> bool:
         """Correct by the relative pose of a known marker; False when it is outside the gate."""
@@ -137,20 +129,25 @@ class Ekf:
         )
         return self._update(innovation, H, observation.covariance)
 
-    def update_information(self, pose: Pose2D, information: FloatArray) -> None:
-        """Correct by a direct measurement of the pose, known well only in some directions.
+    def update_information(self, information: FloatArray, vector: FloatArray) -> None:
+        """Correct by a direct measurement z of the pose, known well perhaps only in some directions.
 
         Args:
-            pose: the measured pose; in directions without information it may be anything near the mean.
-            information: inverse covariance (3, 3) of the measurement in (x, y, theta), positive semi-definite.
+            information: inverse covariance A (3, 3) of the measurement in (x, y, theta), positive semi-definite.
+            vector: A (z - mean), (3,).
         """
-        innovation = np.array(
-            [pose.x - self._pose.x, pose.y - self._pose.y, wrap_angle(pose.theta - self._pose.theta)], dtype=float
-        )
         # Sigma (I + A Sigma)^-1 = (Sigma^-1 + A)^-1, but needs the inverse of neither.
         P = np.linalg.solve(np.eye(3) + self._P @ information, self._P)
-        self._shift(P @ information @ innovation)
+        self._shift(P @ vector)
         self._set(P)
+
+    def _associate(self, observation: LandmarkObservation, innovations: FloatArray, H: FloatArray) -> int | None:
+        if not len(innovations):
+            return None
+        S = H @ self._P @ H.transpose(0, 2, 1) + observation.covariance
+        squared = np.einsum("ni,ni->n", innovations, np.linalg.solve(S, innovations[:, :, None])[:, :, 0])
+        best = int(np.argmin(squared + np.log(np.linalg.det(S))))
+        return best if squared[best] <= self._parameters.gate else None
 
     def _update(self, innovation: FloatArray, H: FloatArray, Q: FloatArray) -> bool:
         S = H @ self._P @ H.T + Q
@@ -176,9 +173,11 @@ def expected_landmarks(pose: Pose2D, positions: FloatArray) -> tuple[FloatArray,
     dx, dy = positions[:, 0] - pose.x, positions[:, 1] - pose.y
     q = np.maximum(dx * dx + dy * dy, 1e-12)  # on top of a landmark its bearing means nothing
     r = np.sqrt(q)
-    zero, one = np.zeros_like(q), np.ones_like(q)
-    H = np.stack([np.stack([-dx / r, -dy / r, zero], axis=1), np.stack([dy / q, -dx / q, -one], axis=1)], axis=1)
-    return np.column_stack([r, wrap_angles(np.arctan2(dy, dx) - pose.theta)]), H
+    expected, H = np.empty((len(q), 2)), np.zeros((len(q), 2, 3))
+    expected[:, 0], expected[:, 1] = r, wrap_angles(np.arctan2(dy, dx) - pose.theta)
+    H[:, 0, 0], H[:, 0, 1] = -dx / r, -dy / r
+    H[:, 1, 0], H[:, 1, 1], H[:, 1, 2] = dy / q, -dx / q, -1.0
+    return expected, H
 
 
 def expected_marker(pose: Pose2D, T_map_marker: Pose2D) -> tuple[Pose2D, FloatArray]:
@@ -188,20 +187,13 @@ def expected_marker(pose: Pose2D, T_map_marker: Pose2D) -> tuple[Pose2D, FloatAr
     return compose(T_base_map, T_map_marker), J @ inverse_jacobian(pose)
 
 
-def _innovations(
-    pose: Pose2D, observation: LandmarkObservation, landmarks: Landmarks
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _innovations(pose: Pose2D, observation: LandmarkObservation, landmarks: Landmarks) -> tuple[FloatArray, FloatArray]:
     """Innovations (N, 3) of an observation against each landmark, bearing wrapped, and H (N, 3, 3)."""
-    expected, H2 = expected_landmarks(pose, landmarks.positions)
-    innovations = np.column_stack(
-        [
-            observation.range_m - expected[:, 0],
-            wrap_angles(observation.bearing_rad - expected[:, 1]),
-            observation.signature - landmarks.signatures,
-        ]
-    )
-    H = np.zeros((len(landmarks), 3, 3))
-    H[:, :2] = H2
+    innovations, H = np.empty((len(landmarks), 3)), np.zeros((len(landmarks), 3, 3))
+    expected, H[:, :2] = expected_landmarks(pose, landmarks.positions)
+    innovations[:, 0] = observation.range_m - expected[:, 0]
+    innovations[:, 1] = wrap_angles(observation.bearing_rad - expected[:, 1])
+    innovations[:, 2] = observation.signature - landmarks.signatures
     return innovations, H
 
 

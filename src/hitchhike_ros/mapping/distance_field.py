@@ -1,0 +1,64 @@
+"""Signed distance to the walls of an occupancy grid, smooth enough to align scans to."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from hitchhike_ros.datatypes import FloatArray
+from hitchhike_ros.geometry import inverse, transform_points
+from hitchhike_ros.mapping.grid import UNKNOWN, OccupancyGrid, distance_to
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+class DistanceField:
+    """Distance in m to the nearest face of a wall: positive before it, negative inside.
+
+    A wall's face is the edge of an occupied cell, half a cell from the centres on both sides of it. What is unknown and
+    nearer to a wall than to free space lies behind the wall and counts as inside, so that a wall mapped from one side
+    keeps its sign behind its face. Where the nearest edge is none of an occupied cell there is no wall to align to, and
+    the field is not valid.
+    """
+
+    def __init__(self, grid: OccupancyGrid) -> None:
+        self._grid = grid
+        occupied, res = grid.occupied, grid.resolution
+        unknown = np.equal(grid.data, UNKNOWN)
+        behind = unknown & (distance_to(occupied, 1.0) < distance_to(~(occupied | unknown), 1.0))
+        solid = occupied | behind
+        if solid.all() or not occupied.any():
+            self._signed = np.zeros(solid.shape)
+            self._wall = np.zeros(solid.shape, dtype=bool)
+            return
+        outside, to_solid = ndimage.distance_transform_edt(~solid, return_indices=True)
+        inside, to_free = ndimage.distance_transform_edt(solid, return_indices=True)
+        self._signed = np.where(solid, 0.5 - inside, outside - 0.5) * res
+        beside_wall = ndimage.binary_dilation(occupied, np.ones((3, 3)))
+        self._wall = np.where(solid, beside_wall[tuple(to_free)], occupied[tuple(to_solid)])
+
+    def lookup(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Interpolated field at points (N, 2) in ``map``.
+
+        Returns:
+            Distance (N,) in m, its gradient (N, 2) in ``map``, and a mask (N,) of the points that have a wall next to
+            them; elsewhere distance and gradient mean nothing.
+        """
+        origin, (rows, columns) = self._grid.origin, self._signed.shape
+        local = transform_points(inverse(origin), points) / self._grid.resolution - 0.5
+        floor = np.floor(local)
+        column, row = floor[:, 0].astype(np.int64), floor[:, 1].astype(np.int64)
+        on_grid = (column >= 0) & (row >= 0) & (column < columns - 1) & (row < rows - 1)
+        k = np.where(on_grid, row * columns + column, 0)
+        u, v = (local - floor).T
+        flat, wall = self._signed.ravel(), self._wall.ravel()
+        d00, d10, d01, d11 = flat[k], flat[k + 1], flat[k + columns], flat[k + columns + 1]
+        low, high = d00 + u * (d10 - d00), d01 + u * (d11 - d01)
+        gx = (d10 - d00) * (1.0 - v) + (d11 - d01) * v
+        gradient = np.column_stack([gx, high - low]) / self._grid.resolution
+        if origin.theta:
+            c, s = np.cos(origin.theta), np.sin(origin.theta)
+            gradient = gradient @ np.array([[c, s], [-s, c]])
+        valid = on_grid & wall[k] & wall[k + 1] & wall[k + columns] & wall[k + columns + 1]
+        return low + v * (high - low), gradient, valid
