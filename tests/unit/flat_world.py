@@ -88,7 +88,7 @@ class FlatWorld:
     rectangles: tuple[Rectangle, ...]
     pose: Pose2D
     seed: int = 0
-    beams: int = 376
+    beams: int = 271
     noise_m: float = 0.01
     period_s: float = 0.1
     now: float = 0.0
