@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from catkin_pkg.package import Package, parse_package
@@ -13,12 +14,13 @@ from catkin_pkg.package import Package, parse_package
 ROOT = Path(__file__).resolve().parents[2]
 DEPENDENCIES = ("buildtool_depends", "build_depends", "exec_depends", "test_depends")
 
-# Import names whose provider is named otherwise; else cv_bridge is python3-cv-bridge.
+# What imports and launch files name, where its Debian package or wheel is named otherwise than cv_bridge,
+# python3-cv-bridge.
 PROVIDERS = {
     "cv2": "opencv-python-headless",
     "pybullet_data": "pybullet",
-    "rosunit": "python3-rostest",
-    "tf2_py": "python3-tf2-ros",
+    "robot_state_publisher": "ros-robot-state-publisher",
+    "rviz": "rviz",
 }
 
 
@@ -61,6 +63,13 @@ def test_every_import_has_a_provider(folder: str) -> None:
     assert {name: provider(name) for name in imports(folder) if provider(name) not in provided} == {}
 
 
+def test_every_node_of_a_launch_file_has_a_provider() -> None:
+    files = [path for pattern in ("launch_scripts/*.launch", "tests/rostest/*.test") for path in ROOT.glob(pattern)]
+    used = {str(node.get("pkg")) for path in files for node in ElementTree.parse(path).iter("node")} - {"hitchhike_ros"}
+    assert {provider(name) for name in used} <= names(package(DISPLAY=":0"), ("exec_depends",))
+    assert used
+
+
 def test_wheels_are_pinned() -> None:
     assert all(re.fullmatch(r"\d+(\.\d+)+", version) for version in wheels().values())
 
@@ -85,3 +94,13 @@ def test_every_executable_has_a_name_of_its_own() -> None:
         pytest.skip("not a git checkout")
     executables = [line.split("/")[-1].split("\t")[-1] for line in tracked.stdout.splitlines() if line[:6] == "100755"]
     assert len(executables) == len(set(executables)) > 0
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "scripts").iterdir()), ids=lambda script: script.name)
+def test_a_script_calls_the_main_of_its_node(script: Path) -> None:
+    """It starts with the interpreter that ROS has, not with whichever python3 comes first on PATH."""
+    assert os.access(script, os.X_OK)
+    lines = script.read_text(encoding="utf-8").split("\n")
+    assert lines == ["#!/usr/bin/python3", f"from hitchhike_ros.nodes.{script.name} import main", "", "main()", ""]
+    module = ast.parse((ROOT / "src" / "hitchhike_ros" / "nodes" / f"{script.name}.py").read_text(encoding="utf-8"))
+    assert "main" in {node.name for node in module.body if isinstance(node, ast.FunctionDef)}
