@@ -34,7 +34,7 @@ class ObstacleAvoidanceParameters:
 
     goal_tolerance_m: Positive = 0.10
     goal_tolerance_rad: Positive = 0.087  # 5°
-    max_age_s: Positive = 0.3  # an older scan is no basis for motion
+    max_age_s: Positive = 0.25  # an older scan is no basis for motion
     max_nan_fraction: UnitInterval = 0.1
     margin_m: NonNegative = 0.05  # the footprint never comes closer than this on purpose
     comfort_m: Positive = 0.35  # closer than this costs

@@ -23,7 +23,7 @@ class VelocityMuxParameters:
     teleop_timeout_s: Positive = 0.5
     servoing_timeout_s: Positive = 0.5
     navigation_timeout_s: Positive = 0.5
-    deceleration_factor: Annotated[float, msgspec.Meta(ge=1)] = 4.0  # braking may be this much harder than speeding up
+    deceleration_factor: Annotated[float, msgspec.Meta(ge=1)] = 5.0  # braking may be this much harder than speeding up
     max_period_s: Positive = 0.1  # a longer pause between steps does not allow a larger change of speed
 
 

@@ -18,7 +18,8 @@ Parameters:
     ~config (path), sections ``obstacle_avoidance`` (control.obstacle_avoidance.ObstacleAvoidanceParameters) and
         ``robot``
     ~urdf (path): mount of the laser
-    ~pose_wait_s (s of wall time, 0.2): how long the pose of a scan is awaited
+    ~pose_wait_s (s of wall time, 0.1; 0.4 in lock-step, where time stands still meanwhile): how long the pose of a scan
+        is awaited
 TF: none.
 """
 
@@ -58,7 +59,7 @@ from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 # A plan whose last pose is farther than this from the goal, in m and rad, is to another one.
 _SAME_PLACE_M, _SAME_HEADING_RAD = 0.2, 0.02
 _STAMP_TOLERANCE_S = 1e-4
-_WATCH_PERIOD_S = 0.1
+_WATCH_PERIOD_S = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,12 @@ class ObstacleAvoidanceNode:
         self._params = node_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance")
         self._limits = node_parameters(RobotLimits, "robot")
         self._T_base_laser = pose_from_matrix(mount(path_parameter("urdf"), "laser"))
-        self._pose_wait_s = convert(rospy.get_param("~pose_wait_s", 0.2), Positive, rospy.get_name(), "~pose_wait_s")
+        self._pose_wait_s = convert(
+            rospy.get_param("~pose_wait_s", 0.4 if rospy.get_param("/lockstep", False) else 0.1),
+            Positive,
+            rospy.get_name(),
+            "~pose_wait_s",
+        )
         self._avoidance = ObstacleAvoidance(self._limits, self._params)
         self._changed = threading.Condition()  # guards everything below
         self._status: Status | None = None
