@@ -237,7 +237,7 @@ class ObstacleAvoidance:
             why = f"no way past an obstacle {gap:.1f} m ahead" if leg.detour.blocked else "no motion is safe"
             return self._stand("blocked", why)
         if stuck >= p.no_progress_s:
-            return self._stand("blocked", f"no progress for {stuck:.0f} s")
+            return self._stand("blocked", f"no progress for {p.no_progress_s:.0f} s")
         if target is None:  # brake as hard as the base can
             return self._stand("driving", "no motion is safe")
         return Decision(self._ramp(now, twist, target, limits), "driving", "waiting for a way" if standing else "")
