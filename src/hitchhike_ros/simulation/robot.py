@@ -73,7 +73,7 @@ class SimulatedRobot:
             RobotModelError: the URDF lacks links or joints that the simulator needs.
             ParameterError: the parameter file cannot be used.
         """
-        urdf, config = package / "urdf" / f"{entry.model}.urdf", package / "config" / f"{entry.model}.yaml"
+        urdf, config = robot_files(entry.model, package)
         self.name, self.entry, self.limits = name, entry, load_parameters(RobotLimits, "robot", config)
         self._engine, self._client = engine, engine.client
         self._drive_params = load_parameters(DriveParams, "simulated_drive", config)
@@ -237,6 +237,11 @@ class SimulatedRobot:
             if f"{wheel}_joint" not in joints:
                 raise RobotModelError(urdf, "joint", f"{wheel}_joint", "the joint of a wheel below base_link")
         return [joints[f"{wheel}_joint"] for wheel in _WHEELS]
+
+
+def robot_files(model: str, package: Path) -> tuple[Path, Path]:
+    """URDF and parameter file of a model."""
+    return package / "urdf" / f"{model}.urdf", package / "config" / f"{model}.yaml"
 
 
 def _load_body(client: int, urdf: Path, marker: Marker | None) -> int:

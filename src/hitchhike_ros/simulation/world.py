@@ -22,7 +22,15 @@ from hitchhike_ros.errors import WorldFileError
 from hitchhike_ros.mapping.grid import FREE
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.simulation.camera import Renderer, load_renderer, silenced
-from hitchhike_ros.simulation.robot import FLOOR_GROUP, ROLLING_GROUP, SOLID_GROUP, Contact, Engine, SimulatedRobot
+from hitchhike_ros.simulation.robot import (
+    FLOOR_GROUP,
+    ROLLING_GROUP,
+    SOLID_GROUP,
+    Contact,
+    Engine,
+    SimulatedRobot,
+    robot_files,
+)
 from hitchhike_ros.simulation.tags import write_tag
 from hitchhike_ros.simulation.walls import wall_mesh, write_obj
 from hitchhike_ros.simulation.world_file import Box, WorldFile, check_box, distance_to_box, load_world
@@ -76,7 +84,7 @@ class World:
         self.grid = load_map(self.file.map)
         self.dt = 1.0 / self.params.physics_rate_hz
         self._steps = 0
-        self._check_starts()
+        self._check_robots(Path(package))
         self.client = p.connect(p.DIRECT)
         try:
             self._build(seed, Path(package))
@@ -170,8 +178,13 @@ class World:
         del self._names[body]
         p.removeBody(body, physicsClientId=self.client)
 
-    def _check_starts(self) -> None:
+    def _check_robots(self, package: Path) -> None:
         for name, entry in self.file.robots.items():
+            for file in robot_files(entry.model, package):
+                if not file.is_file():
+                    raise WorldFileError(
+                        self.file.path, f"robots.{name}.model", entry.model, f"a model with a file {file}"
+                    )
             x, y = entry.start.x, entry.start.y
             cell = self.grid.world_to_cell([[x, y]])
             free = bool(self.grid.in_bounds(cell)[0]) and self.grid.data[tuple(cell[0])] == FREE
