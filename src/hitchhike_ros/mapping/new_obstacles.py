@@ -1,40 +1,280 @@
-"""New static boxes: what the laser sees where the static map has nothing."""
+"""New static obstacles: what the laser sees again and again where the map is free (P17 §3, Table 1).
+
+Each beam that ends away from the walls marks a small cell, and each beam that passes through a marked cell wears the
+mark off, so what moves leaves nothing behind. Cells that were seen for a while and from places apart make a box.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
-from hitchhike_ros.datatypes import LaserScan, Obstacle, Pose2D, PoseEstimate
-from hitchhike_ros.mapping.grid import OccupancyGrid
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Obstacle, Pose2D, PoseEstimate, Positive
+from hitchhike_ros.geometry import compose, distance, transform_points
+from hitchhike_ros.mapping.grid import FREE, OccupancyGrid, distance_to
+from hitchhike_ros.mapping.laser import LaserNoise, check_scan, end_points
+
+_STRIDE = 1 << 32  # cell (column, row) has the key column * _STRIDE + row
+_HALF = 1 << 31
 
 
 @dataclass(frozen=True)
-class NewObstaclesParameters:
-    """Parameters of :class:`NewObstacleMapper` (section ``new_obstacles``)."""
+class MappingParameters:
+    """Section ``mapping`` of a robot's parameter file (all values are chosen)."""
+
+    laser: LaserNoise = field(default_factory=LaserNoise)
+    cell_m: Positive = 0.02
+    max_range_m: Positive = 4.0  # beyond, noise blurs a box by more than its bound
+    wall_margin_m: Positive = 0.12  # nearer to a wall of the map an end point is that wall
+    margin_sigmas: NonNegative = 2.5  # of the range, beside the margin
+    reference_sigma_m: Positive = 0.015  # a beam with this noise or less counts fully
+    max_score: Positive = 10.0  # so many beams through a cell remove it, however long it stood there
+    min_scans: int = 8
+    min_age_s: Positive = 1.5
+    min_view_gap_m: Positive = 0.5
+    min_cells: int = 4  # that fulfil all three
+    merge_gap_m: Positive = 0.10
+    trim: NonNegative = 0.02  # share of the evidence beyond each side of a box
+    max_pose_sigma_m: Positive = 0.15  # with a worse pose nothing is mapped
+    max_heading_sigma_rad: Positive = 0.07
+
+
+@dataclass(eq=False)
+class _Cells:
+    """The marked cells, sorted by their keys; one row of every array a cell."""
+
+    keys: npt.NDArray[np.int64]
+    score: FloatArray  # evidence for minus evidence against, at most max_score
+    scans: FloatArray
+    first_stamp: FloatArray
+    last_stamp: FloatArray
+    first_view: FloatArray  # (K, 2), where the robot was at first
+    apart: npt.NDArray[np.bool_]  # seen from places far enough apart
+
+    @classmethod
+    def fresh(cls, keys: npt.NDArray[np.int64], score: FloatArray, stamp: float, view: FloatArray) -> _Cells:
+        n = len(keys)
+        stamps = np.full(n, stamp)
+        return cls(keys, score, np.ones(n), stamps, stamps.copy(), np.tile(view, (n, 1)), np.zeros(n, dtype=bool))
+
+    def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> _Cells:
+        return _Cells(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+    def joined(self, other: _Cells) -> _Cells:
+        both = [np.concatenate([getattr(self, name), getattr(other, name)]) for name in self.__dataclass_fields__]
+        order = np.argsort(both[0], kind="stable")
+        return _Cells(*(array[order] for array in both))
+
+    def find(self, keys: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Row of each key and whether it is there."""
+        at = np.minimum(np.searchsorted(self.keys, keys), max(len(self.keys) - 1, 0))
+        return at, (self.keys[at] == keys) if len(self.keys) else np.zeros(len(keys), dtype=bool)
 
 
 class NewObstacleMapper:
-    """Boxes that stand where the static map is free."""
+    """Finds, refines and removes axis-aligned boxes that a static map does not have."""
 
-    def __init__(self, grid: OccupancyGrid, params: NewObstaclesParameters) -> None:
-        self._grid, self._params = grid, params
-        self._obstacles: tuple[Obstacle, ...] = ()
+    def __init__(self, grid: OccupancyGrid, parameters: MappingParameters) -> None:
+        self._grid, self._parameters = grid, parameters
+        # From a wall's face, which is half a cell before the centres of its cells.
+        self._to_wall = distance_to(grid.occupied, grid.resolution) - grid.resolution / 2
+        self._free = np.equal(grid.data, FREE)
+        self._cells = _Cells.fresh(np.zeros(0, dtype=np.int64), np.zeros(0), 0.0, np.zeros(2))
+        self._boxes: tuple[Obstacle, ...] = ()
+        self._given: dict[str, Obstacle] = {}  # handed over, and not seen by this robot yet
+        self._names = 0
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The boxes known now, oldest first, in ``map``; the same tuple while nothing changed beyond noise."""
-        return self._obstacles
+        """The boxes in ``map``, in the order in which they were found; a box keeps its id while it is refined."""
+        return self._boxes
 
     def update(
         self,
         scan: LaserScan,
-        estimate: PoseEstimate,
+        pose_estimate: PoseEstimate,
         T_base_laser: Pose2D,
-        others: Iterable[tuple[Pose2D, float]] = (),
-    ) -> None:
-        """Take in one scan from the estimated pose; ``others`` are known robots as (pose in ``map``, radius in m)."""
+        ignore: Sequence[tuple[Pose2D, float]] = (),
+    ) -> bool:
+        """Take in a scan.
+
+        Args:
+            scan: the scan.
+            pose_estimate: the robot's pose when the scan was taken.
+            T_base_laser: the laser's mount.
+            ignore: places (pose in ``map``, radius in m) of other robots, which are no obstacles.
+
+        Returns:
+            Whether the scan was used; not so when the pose is too uncertain to map by.
+
+        Raises:
+            SensorDataError: the scan is senseless; nothing has changed then.
+        """
+        check_scan(scan)
+        p, covariance = self._parameters, pose_estimate.covariance
+        if covariance[0, 0] + covariance[1, 1] > p.max_pose_sigma_m**2 or covariance[2, 2] > p.max_heading_sigma_rad**2:
+            return False
+        pose = pose_estimate.pose
+        self._wear_off(scan, compose(pose, T_base_laser))
+        ends = end_points(scan, T_base_laser, p.max_range_m)
+        sigma = p.laser.sigma(ends.ranges)
+        new = self._away_from_walls(transform_points(pose, ends.points), sigma, ignore)
+        self._mark(transform_points(pose, ends.points)[new], sigma[new], scan.stamp, pose)
+        self._cells = self._cells.select(self._cells.score > 0.0)
+        self._find_boxes()
+        return True
 
     def add(self, obstacles: Iterable[Obstacle]) -> None:
-        """Boxes handed over by a driver: kept as measured until beams pass through them."""
-        self._obstacles += tuple(obstacles)
+        """Take over boxes from another robot, as often as they come: a box that this robot has seen itself stays."""
+        for theirs in obstacles:
+            known = [mine for mine in self._boxes if _touch(mine, theirs, self._parameters.merge_gap_m)]
+            if any(mine.id not in self._given for mine in known):
+                continue
+            for mine in known:
+                self._drop(mine)
+            name = known[0].id if known else theirs.id
+            if name in {mine.id for mine in self._boxes}:
+                name = self._new_name()
+            box = Obstacle(name, theirs.x, theirs.y, theirs.w, theirs.b)
+            self._given[name] = box
+            self._boxes = (*self._boxes, box)
+            keys = self._inside(box)
+            cells = _Cells.fresh(keys, np.full(len(keys), self._parameters.max_score / 2), 0.0, np.zeros(2))
+            cells.scans[:] = 0.0  # not of its own
+            self._cells = self._cells.select(~np.isin(self._cells.keys, keys)).joined(cells)
+
+    def _wear_off(self, scan: LaserScan, T_map_laser: Pose2D) -> None:
+        """Take evidence from the marked cells that a beam passed through."""
+        p = self._parameters
+        if not len(self._cells.keys):
+            return
+        offset = self._centres(self._cells.keys) - (T_map_laser.x, T_map_laser.y)
+        range_m = np.hypot(offset[:, 0], offset[:, 1])
+        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - T_map_laser.theta - scan.angle_min
+        beam = np.rint(np.mod(bearing, 2 * math.pi) / scan.angle_increment).astype(np.int64)
+        seen = (beam < scan.ranges.size) & (range_m < p.max_range_m) & (range_m > scan.range_min)
+        measured = scan.ranges[np.where(seen, beam, 0)]
+        sigma = p.laser.sigma(range_m)
+        passed = seen & (measured > range_m + np.maximum(2.0 * p.cell_m, 3.0 * sigma))
+        self._cells.score[passed] -= self._weight(sigma[passed])
+
+    def _away_from_walls(
+        self, points: FloatArray, sigma: FloatArray, ignore: Sequence[tuple[Pose2D, float]]
+    ) -> npt.NDArray[np.bool_]:
+        """Mask (N,) of the points (N, 2) that lie in free space of the map, and on no known robot."""
+        p = self._parameters
+        cells = self._grid.world_to_cell(points)
+        away = self._grid.in_bounds(cells)
+        rows, columns = np.where(away[:, None], cells, 0).T
+        away &= self._free[rows, columns] & (self._to_wall[rows, columns] > p.wall_margin_m + p.margin_sigmas * sigma)
+        for robot, radius_m in ignore:
+            away &= np.hypot(points[:, 0] - robot.x, points[:, 1] - robot.y) > radius_m
+        return away
+
+    def _mark(self, points: FloatArray, sigma: FloatArray, stamp: float, pose: Pose2D) -> None:
+        """Give evidence to the cells in which end points (N, 2) lie: once a scan, by the best of them."""
+        p, view = self._parameters, np.array([pose.x, pose.y])
+        keys, first = np.unique(self._keys(points), return_inverse=True)
+        weight = np.zeros(len(keys))
+        np.maximum.at(weight, first, self._weight(sigma))
+        at, known = self._cells.find(keys)
+        cells, rows = self._cells, at[known]
+        cells.score[rows] = np.minimum(cells.score[rows] + weight[known], p.max_score)
+        fresh = cells.scans[rows] == 0
+        cells.first_stamp[rows[fresh]], cells.first_view[rows[fresh]] = stamp, view
+        cells.scans[rows] += 1
+        cells.last_stamp[rows] = stamp
+        cells.apart[rows] |= np.hypot(*(cells.first_view[rows] - view).T) >= p.min_view_gap_m
+        self._cells = cells.joined(_Cells.fresh(keys[~known], weight[~known], stamp, view))
+
+    def _find_boxes(self) -> None:
+        p, cells = self._parameters, self._cells
+        centres = self._centres(cells.keys)
+        sure = (cells.scans >= p.min_scans) & (cells.last_stamp - cells.first_stamp >= p.min_age_s) & cells.apart
+        boxes: dict[str, Obstacle] = {}
+        for group in sorted(self._clusters(centres), key=len, reverse=True):
+            own = bool(sure[group].sum() >= p.min_cells)
+            box = self._box(centres[group], cells.score[group])
+            known = [old for old in self._boxes if old.id not in boxes and _touch(old, box, 0.0)]
+            known.sort(key=lambda old: distance(_centre(old), _centre(box)))
+            if not own and (not known or len(group) < p.min_cells):
+                continue
+            given = next((old for old in known if old.id in self._given), None)
+            if given is not None and not own:
+                boxes[given.id] = given
+                continue
+            name = known[0].id if known else self._new_name()
+            boxes[name] = Obstacle(name, box.x, box.y, box.w, box.b)
+        self._given = {name: box for name, box in self._given.items() if boxes.get(name) is box}
+        order = {box.id: k for k, box in enumerate(self._boxes)}
+        self._boxes = tuple(sorted(boxes.values(), key=lambda box: order.get(box.id, len(order))))
+
+    def _clusters(self, centres: FloatArray) -> list[npt.NDArray[np.int64]]:
+        """Rows of the cells (K, 2) of each cluster; clusters are further apart than the gap that is bridged."""
+        if not len(centres):
+            return []
+        coarse = np.floor(centres / self._parameters.merge_gap_m).astype(np.int64)
+        coarse -= coarse.min(axis=0)
+        image = np.zeros(coarse.max(axis=0) + 1, dtype=np.uint8)
+        image[tuple(coarse.T)] = 1
+        _, labels = cv2.connectedComponents(image, connectivity=8)
+        number = labels[tuple(coarse.T)]
+        order = np.argsort(number, kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+
+    def _box(self, centres: FloatArray, score: FloatArray) -> Obstacle:
+        """The extent of the evidence, without its outermost shares, as a box without a name."""
+        trim, sides = self._parameters.trim, []
+        for values in centres.T:
+            order = np.argsort(values)
+            share = np.cumsum(score[order])
+            low, high = np.searchsorted(share, [trim * share[-1], (1.0 - trim) * share[-1]])
+            # Centres, not edges, of the cells: noise leaves marks on both sides of a face.
+            sides.append((float(values[order[low]]), float(values[order[min(high, len(order) - 1)]])))
+        (x1, x2), (y1, y2) = sides
+        return Obstacle("", x1, y1, x2 - x1, y2 - y1)
+
+    def _weight(self, sigma: FloatArray) -> FloatArray:
+        return np.minimum(1.0, (self._parameters.reference_sigma_m / sigma) ** 2)
+
+    def _keys(self, points: FloatArray) -> npt.NDArray[np.int64]:
+        cells = np.floor(points / self._parameters.cell_m).astype(np.int64)
+        keys: npt.NDArray[np.int64] = cells[:, 0] * _STRIDE + cells[:, 1] + _HALF
+        return keys
+
+    def _centres(self, keys: npt.NDArray[np.int64]) -> FloatArray:
+        column, row = np.divmod(keys, _STRIDE)
+        return (np.column_stack([column, row - _HALF]) + 0.5) * self._parameters.cell_m
+
+    def _inside(self, box: Obstacle) -> npt.NDArray[np.int64]:
+        """Keys of the cells whose centres lie in a box, sorted; at least one."""
+        cell = self._parameters.cell_m
+        x = np.arange(box.x + cell / 2, box.x + box.w, cell) if box.w > cell else np.array([box.x + box.w / 2])
+        y = np.arange(box.y + cell / 2, box.y + box.b, cell) if box.b > cell else np.array([box.y + box.b / 2])
+        return np.unique(self._keys(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)))
+
+    def _drop(self, box: Obstacle) -> None:
+        self._boxes = tuple(other for other in self._boxes if other is not box)
+        self._given.pop(box.id, None)
+        self._cells = self._cells.select(~np.isin(self._cells.keys, self._inside(box)))
+
+    def _new_name(self) -> str:
+        taken = {box.id for box in self._boxes}
+        while True:
+            self._names += 1
+            if f"obs{self._names}" not in taken:
+                return f"obs{self._names}"
+
+
+def _centre(box: Obstacle) -> Pose2D:
+    return Pose2D(box.x + box.w / 2, box.y + box.b / 2)
+
+
+def _touch(a: Obstacle, b: Obstacle, gap_m: float) -> bool:
+    """Whether two boxes overlap or are no further apart than the gap."""
+    return max(a.x, b.x) <= min(a.x + a.w, b.x + b.w) + gap_m and max(a.y, b.y) <= min(a.y + a.b, b.y + b.b) + gap_m

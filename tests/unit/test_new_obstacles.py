@@ -1,0 +1,175 @@
+"""New boxes against the map: found where they are, refined, removed; people and robots are no boxes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from laser_world import LASER, boxes_of, drive, take_scan, walls_of
+
+from hitchhike_ros.datatypes import Obstacle, Pose2D, PoseEstimate
+from hitchhike_ros.errors import SensorDataError
+from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.laser import LaserNoise
+from hitchhike_ros.mapping.map_file import load_map
+from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
+
+MAP = Path(__file__).resolve().parents[2] / "maps" / "p17_exp1.yaml"
+# P17 Table 1, Exp. 1.
+BOXES = (
+    Obstacle("obs1", 9.24, 6.08, 0.28, 0.16),
+    Obstacle("obs2", 12.32, 5.16, 0.40, 0.44),
+    Obstacle("obs3", 15.04, 6.00, 0.44, 0.28),
+)
+PAST_ALL = [(7.0, 5.65), (9.4, 5.42), (11.0, 5.7), (12.5, 6.15), (14.0, 5.7), (15.2, 5.35), (17.5, 5.6)]
+PAST_FIRST = [(7.0, 5.65), (9.4, 5.42), (11.5, 5.6)]
+GOOD = np.diag([0.01, 0.01, 0.002]) ** 2
+
+
+@pytest.fixture(scope="module")
+def grid() -> OccupancyGrid:
+    return load_map(MAP)
+
+
+def person(x: float, y: float) -> Obstacle:
+    return Obstacle("person", x - 0.15, y - 0.15, 0.3, 0.3)
+
+
+def ride(
+    grid: OccupancyGrid,
+    route: list[tuple[float, float]],
+    things: Callable[[float], Iterable[Obstacle]],
+    mapper: NewObstacleMapper | None = None,
+    seed: int = 0,
+    ratio: float = 0.01,
+    pose_sigma: float = 0.0,
+    ignore: Callable[[float], list[tuple[Pose2D, float]]] = lambda _: [],
+) -> NewObstacleMapper:
+    """Drive at 0.5 m/s among things that may change with time."""
+    rng, walls = np.random.default_rng(seed), walls_of(grid)
+    mapper = mapper or NewObstacleMapper(grid, MappingParameters(laser=LaserNoise(ratio, ratio)))
+    error = np.zeros(3)
+    for truth, odometry in drive(route, 0.5, rng):
+        t = odometry.stamp
+        scan = take_scan(truth, np.vstack([walls, boxes_of(things(t))]), rng, t, beams=513, ratio=ratio)
+        error = 0.95 * error + 0.31 * rng.normal(0.0, 1.0, 3) * [pose_sigma, pose_sigma, 0.2 * pose_sigma]
+        pose = Pose2D(truth.x + error[0], truth.y + error[1], truth.theta + error[2])
+        assert mapper.update(scan, PoseEstimate(t, pose, GOOD), LASER, ignore(t))
+    return mapper
+
+
+def worst(found: Iterable[Obstacle], true: Iterable[Obstacle]) -> float:
+    """Largest error in place and size of the boxes, which must be as many and match one to one."""
+    pairs = list(zip(sorted(found, key=lambda o: o.x), sorted(true, key=lambda o: o.x), strict=True))
+    return max(max(abs(f.x - t.x), abs(f.y - t.y), abs(f.w - t.w), abs(f.b - t.b)) for f, t in pairs)
+
+
+@pytest.mark.parametrize(("ratio", "pose_sigma", "bound"), [(0.01, 0.0, 0.04), (0.015, 0.02, 0.10)])
+def test_the_papers_boxes_are_found_in_passing(grid, ratio, pose_sigma, bound):
+    mapper = ride(grid, PAST_ALL, lambda _: BOXES, seed=1, ratio=ratio, pose_sigma=pose_sigma)
+    assert worst(mapper.obstacles, BOXES) < bound
+    assert [box.id for box in mapper.obstacles] == ["obs1", "obs2", "obs3"]
+
+
+def test_boxes_keep_their_ids_while_they_are_refined(grid):
+    seen: dict[str, list[Obstacle]] = {}
+    mapper = NewObstacleMapper(grid, MappingParameters())
+    walls, rng = walls_of(grid), np.random.default_rng(2)
+    for truth, odometry in drive(PAST_ALL, 0.5, rng):
+        scan = take_scan(truth, np.vstack([walls, boxes_of(BOXES)]), rng, odometry.stamp, beams=513)
+        mapper.update(scan, PoseEstimate(odometry.stamp, truth, GOOD), LASER)
+        for box in mapper.obstacles:
+            seen.setdefault(box.id, []).append(box)
+    assert sorted(seen) == ["obs1", "obs2", "obs3"]
+    assert seen["obs3"][0].w < seen["obs3"][-1].w  # its far side comes into view in passing
+    assert all(abs(box.x - BOXES[2].x) < 0.5 for box in seen["obs3"])
+
+
+@pytest.mark.parametrize(
+    "walk",
+    [
+        lambda t: person(10.0, 4.8 + 0.5 * t),  # across, in front of the robot
+        lambda t: person(14.0 - 0.8 * t, 6.2),  # towards it and past it
+        lambda t: person(8.0 + 0.5 * t, 6.2),  # beside it, as fast as the robot
+        lambda t: person(8.5 + 0.3 * t, 6.3),  # overtaken
+    ],
+)
+def test_people_who_walk_leave_nothing(grid, walk):
+    mapper = ride(grid, [(7.0, 5.5), (12.5, 5.5)], lambda t: [walk(t)] if t < 8.0 else [])
+    assert mapper.obstacles == ()
+
+
+def test_who_stood_still_for_long_is_removed_when_gone(grid):
+    stood: list[int] = []
+    mapper = NewObstacleMapper(grid, MappingParameters())
+
+    def things(t: float) -> list[Obstacle]:
+        stood.append(len(mapper.obstacles))
+        return [person(11.0, 6.2)] if t < 6.0 else []
+
+    ride(grid, [(7.0, 5.5), (12.5, 5.5)], things, mapper)
+    assert max(stood) == 1
+    assert mapper.obstacles == ()
+
+
+def test_a_box_that_was_taken_away_goes(grid):
+    mapper = ride(grid, PAST_FIRST, lambda _: BOXES[:1])
+    assert len(mapper.obstacles) == 1
+    ride(grid, PAST_FIRST, lambda _: [], mapper)
+    assert mapper.obstacles == ()
+
+
+def test_a_robot_that_stands_maps_nothing(grid):
+    mapper, walls, rng = NewObstacleMapper(grid, MappingParameters()), walls_of(grid), np.random.default_rng(0)
+    rectangles, pose = np.vstack([walls, boxes_of(BOXES)]), Pose2D(8.0, 5.6, 0.0)
+    for k in range(60):
+        mapper.update(take_scan(pose, rectangles, rng, 0.1 * k, beams=513), PoseEstimate(0.1 * k, pose, GOOD), LASER)
+    assert mapper.obstacles == ()
+
+
+def test_a_known_robot_is_no_box(grid):
+    partner = Obstacle("robot", 9.5, 6.1, 0.35, 0.35)
+    assert len(ride(grid, PAST_FIRST, lambda _: [partner]).obstacles) == 1
+    known = [(Pose2D(9.68, 6.28), 0.35)]
+    assert ride(grid, PAST_FIRST, lambda _: [partner], ignore=lambda _: known).obstacles == ()
+
+
+def test_handed_over_boxes_are_kept_as_given_until_seen(grid):
+    mapper = NewObstacleMapper(grid, MappingParameters())
+    mapper.add(BOXES)
+    mapper.add(BOXES)
+    assert mapper.obstacles == BOXES
+    better = replace(BOXES[1], x=12.35, w=0.37)
+    mapper.add([better])
+    assert set(mapper.obstacles) == {BOXES[0], better, BOXES[2]}
+    ride(grid, [(3.0, 5.6), (4.0, 5.6)], lambda _: BOXES, mapper)  # too far to see them
+    assert set(mapper.obstacles) == {BOXES[0], better, BOXES[2]}
+
+
+def test_handed_over_boxes_are_refined_and_removed_by_own_eyes(grid):
+    mapper = NewObstacleMapper(grid, MappingParameters())
+    mapper.add([replace(BOXES[0], id="a", x=9.30, y=6.12), replace(BOXES[1], id="gone", x=10.5)])
+    ride(grid, PAST_FIRST, lambda _: BOXES[:1], mapper)
+    assert worst(mapper.obstacles, BOXES[:1]) < 0.06
+    assert mapper.obstacles[0].id == "a"
+    mapper.add([replace(BOXES[0], x=9.40)])  # its own eyes are better
+    assert worst(mapper.obstacles, BOXES[:1]) < 0.06
+
+
+def test_names_do_not_clash(grid):
+    mapper = ride(grid, PAST_FIRST, lambda _: BOXES[:1])
+    mapper.add([replace(BOXES[2], id="obs1")])
+    assert [box.id for box in mapper.obstacles] == ["obs1", "obs2"]
+
+
+def test_nothing_is_mapped_by_a_bad_pose_or_a_bad_scan(grid):
+    mapper = NewObstacleMapper(grid, MappingParameters())
+    scan = take_scan(Pose2D(8.0, 5.6, 0.0), boxes_of(BOXES))
+    assert not mapper.update(scan, PoseEstimate(0.0, Pose2D(8.0, 5.6, 0.0), np.diag([0.1, 0.1, 0.001])), LASER)
+    assert not mapper.update(scan, PoseEstimate(0.0, Pose2D(8.0, 5.6, 0.0), np.diag([1e-4, 1e-4, 0.1])), LASER)
+    with pytest.raises(SensorDataError, match="NaN"):
+        mapper.update(replace(scan, ranges=np.full(769, math.nan)), PoseEstimate(0.0, Pose2D(), GOOD), LASER)
