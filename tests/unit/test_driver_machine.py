@@ -156,11 +156,23 @@ def test_timeouts_tell_the_hitchhiker_and_the_driver_goes_on(state: DriverState,
     bench.wait(limit_s - 0.5)
     assert bench.machine.state is state
     bench.clear()
-    bench.wait(1.0)
-    (end,) = bench.take(Terminate)
-    assert (end.to, end.ride_id, end.reason) == (RIDER, "ride", reason)
+    bench.wait(0.8)
+    assert {(end.to, end.ride_id, end.reason) for end in bench.take(Terminate)} == {(RIDER, "ride", reason)}
     assert (bench.machine.state, bench.machine.reason) == (S.NAVIGATING, reason)
     assert bench.machine.goal.pose == DRIVER_GOAL
+
+
+def test_the_end_is_told_for_a_while_and_not_to_a_new_offer() -> None:
+    bench = driver_in(S.DRIVING)
+    bench.step(GoalCancelled())
+    bench.wait(20.0)
+    assert 5 <= len(bench.take(Terminate)) <= 8
+    bench = driver_in(S.OFFERING)
+    bench.wait(bench.machine.params.confirm_timeout_s + 0.2)
+    bench.hear(Request)
+    bench.clear()
+    bench.wait(2.0)
+    assert (bench.machine.state, bench.take(Terminate)) == (S.OFFERING, [])
 
 
 @pytest.mark.parametrize("report", ["blocked", "failed"])

@@ -226,6 +226,8 @@ class DriverMachine(Machine[DriverState]):
             self._deny(request, offer)
             return
         self.offer, self.ridden_m, self.gap_m = offer, 0.0, None
+        # The same request may be offered a ride again after the first offer has expired.
+        self._last_words = [(due, word) for due, word in self._last_words if word.ride_id != offer.ride_id]
         self._report(f"Offering {offer.hitchhiker} a ride of {offer.ride_m:.1f} m")
         self._go(S.OFFERING)
         self._accept(offer)
@@ -411,7 +413,8 @@ class DriverMachine(Machine[DriverState]):
         self._send(Deny(robot_id=self.robot_id, to=request.robot_id, ride_id=request.ride_id, reason=reason))
 
     def _tell(self, reason: str) -> None:
-        self._send(Terminate(**self._to_rider(), reason=reason))
+        end = Terminate(**self._to_rider(), reason=reason)
+        self._send_last_word(end, self.params.repeat_period_s, self.params.confirm_timeout_s)
 
     def _navigation_outcome(self) -> str | None:
         """ARRIVED, or why the current goal is given up; None while navigation is at it."""

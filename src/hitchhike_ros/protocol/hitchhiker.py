@@ -44,7 +44,7 @@ DRIVER_NOT_ALIGNED = "Driver did not align"
 NOT_COUPLED = "Large couple_time"
 RIDE_CANCELLED = "Goal cancelled"
 
-# What a pose from an old driver message may be off by after the marker was lost: x, y in m, theta in rad (chosen).
+# What a pose from the driver's message may be off by when the marker is lost: x, y in m, theta in rad (chosen).
 _LOST_SIGMA = (0.5, 0.5, 0.3)
 # Localization has taken a pose over when it answers with one that is this near to it (chosen: 4 of these sigmas).
 _TAKEN_M = 4.0 * _LOST_SIGMA[0]
@@ -296,11 +296,11 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _cancel(self, _event: GoalCancelled) -> None:
         if self.offer is not None:
-            self._send(RequestCancel(**self._to_driver()))
+            self._tell(RequestCancel(**self._to_driver()))
         self._finish(RIDE_CANCELLED)
 
     def _cancel_ride(self, _event: GoalCancelled) -> None:
-        self._send(Terminate(**self._to_driver(), reason=RIDE_CANCELLED))
+        self._tell(Terminate(**self._to_driver(), reason=RIDE_CANCELLED))
         self.goal = None
         self._relocalize(self._rough_pose(), RIDE_CANCELLED)
 
@@ -313,15 +313,15 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._finish(f"{DRIVER_NOT_FOUND} ({self.reason})" if self.reason else DRIVER_NOT_FOUND)
 
     def _lock_lost(self) -> None:
-        self._send(RequestCancel(**self._to_driver()))
+        self._tell(RequestCancel(**self._to_driver()))
         self._ask_again("Lock not confirmed")
 
     def _not_aligned(self) -> None:
-        self._send(Terminate(**self._to_driver(), reason=DRIVER_NOT_ALIGNED))
+        self._tell(Terminate(**self._to_driver(), reason=DRIVER_NOT_ALIGNED))
         self._ask_again(DRIVER_NOT_ALIGNED)
 
     def _not_coupled(self) -> None:
-        self._send(Terminate(**self._to_driver(), reason=NOT_COUPLED))
+        self._tell(Terminate(**self._to_driver(), reason=NOT_COUPLED))
         self._ask_again(NOT_COUPLED)
 
     def _give_up_localizing(self) -> None:
@@ -337,6 +337,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _to_driver(self) -> dict[str, Any]:
         to = self.offer.robot_id if self.offer is not None else "*"
         return {"robot_id": self.robot_id, "to": to, "ride_id": self.ride_id}
+
+    def _tell(self, end: Terminate | RequestCancel) -> None:
+        self._send_last_word(end, self.params.repeat_period_s, self.params.confirm_timeout_s)
 
     def _observation(self) -> MarkerObservation | None:
         """The driver's marker, unless it was seen too long ago to act upon."""
@@ -370,7 +373,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self.offer = None
 
     def _lose_driver(self, reason: str) -> None:
-        self._send(Terminate(**self._to_driver(), reason=reason))
+        self._tell(Terminate(**self._to_driver(), reason=reason))
         self._relocalize(self._rough_pose(), reason)
 
     def _relocalize(self, pose: PoseEstimate | None, reason: str) -> None:
@@ -398,5 +401,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             return self.situation.estimate  # still where it coupled: its own estimate has not been switched off yet
         marker = self.offer.marker_pose
         ahead = Pose2D(self._camera[0] + self.params.gap_m, 0.0, np.pi)
-        assumed = MarkerObservation(self._now, self.offer.marker_id, ahead, np.diag(np.square(_LOST_SIGMA)))
+        # Both may have gone on since the driver spoke last.
+        gone_m = self.params.ride_speed_mps * (self._now - self._heard_at)
+        covariance = np.diag(np.square([_LOST_SIGMA[0] + gone_m, _LOST_SIGMA[1] + gone_m, _LOST_SIGMA[2]]))
+        assumed = MarkerObservation(self._now, self.offer.marker_id, ahead, covariance)
         return handover("measured", driver, assumed, marker)

@@ -142,6 +142,7 @@ class Machine(Generic[S]):
         self._timeouts = {timeout.state: timeout for timeout in self.TIMEOUTS}
         self._allowed: tuple[Any, ...] = ()
         self._due: dict[str, float] = {}
+        self._last_words: list[tuple[float, Message]] = []
 
     def step(self, event: object, now: float) -> list[Effect]:
         """Take one event.
@@ -155,6 +156,8 @@ class Machine(Generic[S]):
             self.situation = event.situation
             while (timeout := self._expired()) is not None:
                 self._run(timeout.action, timeout.targets)
+            while self._last_words and self._last_words[0][0] <= now:
+                self._send(self._last_words.pop(0)[1])
         row = self._rows.get((self.state, type(event)))
         if row is not None:
             self._run(row.action, row.targets, event)
@@ -183,6 +186,12 @@ class Machine(Generic[S]):
 
     def _send(self, message: Message) -> None:
         self._effects.append(Send(message))
+
+    def _send_last_word(self, message: Message, period_s: float, duration_s: float) -> None:
+        """Send what ends a ride; nobody stays to acknowledge it, so it is repeated for a while."""
+        self._send(message)
+        times = range(1, int(duration_s / period_s) + 1)
+        self._last_words = [(self._now + i * period_s, message) for i in times]
 
     def _report(self, text: str) -> None:
         self._effects.append(Report(text))

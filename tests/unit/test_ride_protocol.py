@@ -1,0 +1,395 @@
+"""Two travellers on a network that loses, doubles and delays: whatever happens, both reach their goals."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from protocol_helpers import (
+    BOXES,
+    CAMERA,
+    DRIVER,
+    DRIVER_GOAL,
+    MARKER_POSE,
+    RIDER,
+    RIDER_GOAL,
+    SIGMA,
+    SITES,
+    WEST,
+    corridor_path,
+    messages,
+)
+
+from hitchhike_ros.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
+from hitchhike_ros.errors import MessageError
+from hitchhike_ros.geometry import between, compose, distance, wrap_angle
+from hitchhike_ros.protocol.driver import DriverState
+from hitchhike_ros.protocol.hitchhiker import HitchhikerState
+from hitchhike_ros.protocol.inbox import Inbox
+from hitchhike_ros.protocol.machine import (
+    Award,
+    GoalCancelled,
+    GoalGiven,
+    NavigationReport,
+    Report,
+    Send,
+    Situation,
+    TakeObstacles,
+    TakePose,
+    Tick,
+    stamped,
+)
+from hitchhike_ros.protocol.messages import (
+    MESSAGE_TYPES,
+    Accept,
+    Ack,
+    Aligned,
+    Coupled,
+    Decouple,
+    Driver,
+    Lock,
+    Message,
+    Request,
+    encode,
+)
+from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, Status, decode_status, encode_status
+from hitchhike_ros.protocol.traveller import Traveller
+
+DT = 0.2
+Filter = Callable[[float, Message], bool]
+
+
+@dataclass
+class Robot:
+    """A point that drives along the corridor by itself, or behind the marker, as its status says."""
+
+    traveller: Traveller
+    pose: Pose2D
+    inbox: Inbox = field(init=False)
+    estimate: Pose2D = field(init=False)
+    map: set[Obstacle] = field(default_factory=set)
+    speed: float = 0.0
+    seq: int = 0
+    report: NavigationReport | None = None
+    path: list[tuple[float, float]] = field(default_factory=list)
+    awards: list[Award] = field(default_factory=list)
+    reports: list[str] = field(default_factory=list)
+    statuses: list[Status] = field(default_factory=list)
+    unlocalized: bool = False
+    blind: bool = False
+
+    def __post_init__(self) -> None:
+        self.inbox, self.estimate = Inbox(self.traveller.robot_id), self.pose
+
+    def drive(self, status: Status, leader: Robot) -> None:
+        """One step of motion; localization is dead reckoning without error, from whatever pose it was given."""
+        old, ahead = self.pose, between(self.pose, compose(leader.pose, MARKER_POSE))
+        if status.servo is not None and status.servo.task == "follow":
+            gap = ahead.x - CAMERA[0]
+            v = status.servo.feed_forward_mps + 1.5 * (gap - status.servo.gap_m) if self.sees(leader) else 0.0
+            self._move(math.atan2(ahead.y, ahead.x), max(0.0, min(v, 0.65)) * DT)
+        elif status.goal is not None and status.modules.PP and status.modules.OBS:
+            self._navigate(status.goal, status.speed_limit_mps or 0.5)
+        self.speed = distance(old, self.pose) / DT
+        self.unlocalized = not status.modules.LZN
+        if status.modules.LZN:
+            self.estimate = compose(self.estimate, between(old, self.pose))
+        if status.modules.MAP:
+            self.map |= {box for box in BOXES if abs(box.x - self.pose.x) < 2.0}
+
+    def _navigate(self, goal: GoalCommand, speed: float) -> None:
+        if self.report is None or self.report.goal_id != goal.id:
+            self.path = [(float(x), float(y)) for x, y in corridor_path(self.pose, goal.pose)[1:]]
+        while self.path and math.dist(self.path[0], (self.pose.x, self.pose.y)) < 0.05:
+            self.path.pop(0)
+        self.report = NavigationReport(goal.id, "driving" if self.path else "arrived")
+        if self.path:
+            x, y = self.path[0][0] - self.pose.x, self.path[0][1] - self.pose.y
+            self._move(wrap_angle(math.atan2(y, x) - self.pose.theta), min(speed * DT, math.hypot(x, y)))
+
+    def _move(self, turn: float, metres: float) -> None:
+        turn = max(-0.2, min(turn, 0.2))
+        self.pose = compose(self.pose, Pose2D(theta=turn))
+        if abs(turn) < 0.2:
+            self.pose = compose(self.pose, Pose2D(x=metres))
+
+    def sees(self, leader: Robot) -> bool:
+        marker = between(compose(self.pose, Pose2D(*CAMERA)), compose(leader.pose, MARKER_POSE))
+        in_view = abs(math.atan2(marker.y, marker.x)) < math.radians(30)
+        return in_view and 0.2 < math.hypot(marker.x, marker.y) < 4.0 and not self.blind
+
+    def situation(self, now: float, leader: Robot) -> Situation:
+        seen = None
+        if self.sees(leader):
+            marker = between(self.pose, compose(leader.pose, MARKER_POSE))
+            seen = MarkerObservation(now, 0, marker, np.array(SIGMA) / 100)
+        estimate = None if self.unlocalized else PoseEstimate(now, self.estimate, np.array(SIGMA))
+        boxes = tuple(sorted(self.map, key=lambda box: box.id))
+        return Situation(estimate, self.speed, boxes, self.report, seen)
+
+
+@dataclass
+class World:
+    """Both robots, the time, and the network between them."""
+
+    seed: int = 0
+    loss: float = 0.0
+    double: float = 0.0
+    delay_s: float = 0.0
+    passes: Filter = lambda _now, _message: True
+    now: float = 500.0
+    until: float = math.inf
+    sent: Counter[str] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        self.random = random.Random(self.seed)
+        self.flying: list[tuple[float, str]] = []
+
+        def robot(name: str, start: Pose2D, goal: Pose2D, **params: Any) -> Robot:
+            settings = HitchhikingParams(**params)
+            traveller = Traveller(name, settings, SITES, corridor_path, MARKER_POSE, CAMERA, 0.3)
+            traveller.step(GoalGiven(goal), self.now)
+            return Robot(traveller, start)
+
+        self.rider = robot(RIDER, WEST.waiting_pose, RIDER_GOAL, profile=40.0)
+        self.driver = robot(DRIVER, Pose2D(-3.0, 5.72), DRIVER_GOAL, profile=80.0, may_ride=False)
+        self.robots = (self.rider, self.driver)
+
+    def run(self, seconds: float = 250.0, until: Callable[[], bool] = lambda: False) -> World:
+        """On until something, or for so long."""
+        end = self.now + seconds
+        while self.now < end and not until():
+            self.now += DT
+            arrived = [text for due, text in self.flying if due <= self.now]
+            self.flying = [(due, text) for due, text in self.flying if due > self.now]
+            for robot, other in (self.robots, self.robots[::-1]):
+                for text in arrived:
+                    try:
+                        message = robot.inbox.receive(text)
+                    except MessageError:
+                        continue
+                    if message is not None:
+                        self.step(robot, message)
+                self.step(robot, Tick(robot.situation(self.now, other)))
+                robot.statuses.append(robot.traveller.status(self.now))
+            for robot, other in (self.robots, self.robots[::-1]):
+                robot.drive(robot.statuses[-1], other)
+        return self
+
+    def step(self, robot: Robot, event: object) -> None:
+        for effect in robot.traveller.step(event, self.now):
+            match effect:
+                case Send(message):
+                    robot.seq += 1
+                    self.transmit(stamped(message, robot.seq, self.now))
+                case TakePose(estimate):
+                    robot.estimate = estimate.pose
+                case TakeObstacles(boxes):
+                    robot.map |= set(boxes)
+                case Award():
+                    robot.awards.append(effect)
+                case Report(text):
+                    robot.reports.append(text)
+
+    def transmit(self, message: Message) -> None:
+        self.sent[message.type] += 1
+        for _ in range(2 if self.random.random() < self.double else 1):
+            if self.random.random() >= self.loss and self.passes(self.now, message):
+                self.flying.append((self.now + self.random.uniform(0.0, self.delay_s), encode(message)))
+
+    @property
+    def completed(self) -> bool:
+        return all("Ride completed" in robot.reports for robot in self.robots)
+
+    def come_to_an_end(self, rider_goal: Pose2D | None = RIDER_GOAL, driver_goal: Pose2D | None = DRIVER_GOAL) -> World:
+        """Both robots stop by themselves, at their goals, agreed on the ride, and the metres are credited once."""
+
+        def stopped() -> bool:
+            return all(robot.statuses and robot.statuses[-1].state == "idle" for robot in self.robots)
+
+        self.run(1.0).run(until=stopped)
+        assert stopped(), [robot.statuses[-1] for robot in self.robots]
+        for robot, goal in ((self.rider, rider_goal), (self.driver, driver_goal)):
+            last = robot.statuses[-1]
+            assert (last.role, last.ride, last.servo, last.modules) == ("none", None, None, ModuleSwitches())
+            assert goal is None or distance(robot.pose, goal) < 0.1, robot.reports
+            assert distance(robot.estimate, robot.pose) < (0.1 if self.completed else 3.0), robot.reports
+        assert "Ride completed" in self.rider.reports or "Ride completed" not in self.driver.reports
+        assert len({award.ride_id for award in self.driver.awards}) == len(self.driver.awards)
+        assert sum(award.ride_m for award in self.driver.awards) < 22.5
+        assert self.rider.awards == []
+        assert sum(self.sent.values()) < 12 * (self.now - 500.0), self.sent
+        return self
+
+
+def _states(robot: Robot) -> list[str]:
+    """The states in order, each once where it follows itself."""
+    states = [status.state for status in robot.statuses]
+    return [state for before, state in zip(["", *states], states, strict=False) if state != before]
+
+
+def test_a_ride() -> None:
+    world = World().come_to_an_end()
+    assert world.completed
+    assert _states(world.rider) == [
+        *("requesting", "locking", "awaiting_aligned", "coupling", "riding", "settling", "relocalizing"),
+        *("navigating", "idle"),
+    ]
+    assert _states(world.driver) == [
+        *("navigating", "offering", "aligning", "aligned", "driving", "decoupling", "navigating", "idle")
+    ]
+    assert f"{DRIVER} denies: Invalid HH place" in world.rider.reports  # until the driver was there
+    assert world.rider.map == set(BOXES)  # none of which it saw itself
+    (award,) = world.driver.awards
+    ride = next(status.ride for status in world.driver.statuses if status.ride is not None)
+    assert ride.ride_m > 20.0
+    assert award.ride_m == pytest.approx(ride.ride_m, abs=0.3)
+    assert award.points == pytest.approx(0.4 * award.ride_m)
+    riding = [status for status in world.rider.statuses if status.state == "riding"]
+    assert {status.modules for status in riding} == {ModuleSwitches(False, False, False, False, True, True)}
+    assert all(status.goal is None and status.role == "hitchhiker" for status in riding)
+    for status in (*riding[-1:], *world.driver.statuses[-1:]):
+        assert decode_status(encode_status(status)) == status
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_ride_on_a_network_that_loses_doubles_and_delays(seed: int) -> None:
+    world = World(seed, loss=0.2, double=0.2, delay_s=0.4).come_to_an_end()
+    assert world.completed
+    assert world.rider.map == set(BOXES)
+    assert world.driver.awards[-1].ride_m == pytest.approx(22.0, abs=0.5)
+
+
+@pytest.mark.parametrize("loss", [0.5, 0.7, 1.0])
+def test_on_a_bad_network_both_arrive_even_without_a_ride(loss: float) -> None:
+    World(7, loss=loss, double=0.3, delay_s=1.0).come_to_an_end()
+
+
+@pytest.mark.parametrize("kind", MESSAGE_TYPES)
+def test_the_ride_survives_the_loss_of_the_first_three_messages_of_a_kind(kind: str) -> None:
+    lost = 3
+
+    def passes(_now: float, message: Message) -> bool:
+        nonlocal lost
+        lost -= message.type == kind
+        return message.type != kind or lost < 0
+
+    assert World(passes=passes).come_to_an_end().completed
+
+
+@pytest.mark.parametrize("silent", [{RIDER, DRIVER}, {RIDER}, {DRIVER}])
+@pytest.mark.parametrize("state", ["locking", "awaiting_aligned", "coupling", "riding", "settling"])
+def test_silence_from_any_state_on_leaves_nobody_waiting(state: str, silent: set[str]) -> None:
+    world = World(passes=lambda now, message: now < world.until or message.robot_id not in silent)
+    world.run(until=lambda: world.rider.statuses != [] and world.rider.statuses[-1].state == state)
+    world.until = world.now
+    world.come_to_an_end()
+
+
+def test_a_driver_that_hears_again_of_a_ride_that_was_given_up_goes_on_at_once() -> None:
+    world = World(passes=lambda now, _message: not 520.0 < now < 530.0)
+    world.come_to_an_end()
+    assert "No message from the driver" in world.rider.reports
+    waits = [s.time_stamp for s in world.driver.statuses if s.state == "waiting_for_rider"]
+    assert waits[-1] == pytest.approx(530.0, abs=1.0)
+
+
+@pytest.mark.parametrize("blind_s", [1.0, 5.0])
+def test_a_rider_that_loses_sight_of_its_driver(blind_s: float) -> None:
+    world = World()
+    world.run(until=lambda: world.driver.pose.x > 10.0)
+    world.rider.blind = True
+    world.run(blind_s)
+    world.rider.blind = False
+    world.come_to_an_end()
+    assert world.completed == (blind_s < 2.0)
+    assert ("Driver lost" in world.rider.reports) == (blind_s > 2.0)
+
+
+@pytest.mark.parametrize("who", ["rider", "driver"])
+@pytest.mark.parametrize("event", [GoalCancelled(), GoalGiven(Pose2D(15.0, 5.72))])
+@pytest.mark.parametrize("state", ["requesting", "coupling", "riding", "relocalizing"])
+def test_the_goal_changes_at_any_time(state: str, event: GoalCancelled | GoalGiven, who: str) -> None:
+    world = World()
+    world.run(until=lambda: world.rider.statuses != [] and world.rider.statuses[-1].state == state)
+    world.step(getattr(world, who), event)
+    goal = event.goal if isinstance(event, GoalGiven) else None
+    world.come_to_an_end(**{f"{who}_goal": goal})
+
+
+def test_why_a_robot_goes_on_alone_stays_in_its_status() -> None:
+    world = World(passes=lambda _now, message: message.robot_id != RIDER)
+    world.run(until=lambda: "navigating" in _states(world.rider))
+    assert world.rider.statuses[-1].reason == "Driver not found"
+
+
+# Anything, in any order.
+
+_USUAL: dict[str, tuple[type[Message], ...]] = {
+    "requesting": (Accept,),
+    "locking": (Ack,),
+    "awaiting_aligned": (Aligned,),
+    "riding": (Driver, Decouple),
+    "navigating": (Request,),
+    "offering": (Lock,),
+    "aligned": (Coupled,),
+}
+
+
+def _walk(seed: int, steps: int) -> set[str]:
+    """A traveller to whom everything happens, what is usual more often than the rest; the states that it saw."""
+    rng = random.Random(seed)
+    params = HitchhikingParams(min_ride_m=5.0, may_ride=seed % 2 == 0)
+    traveller = Traveller(RIDER, params, SITES, corridor_path, MARKER_POSE, CAMERA, 0.3)
+    now, visited = 0.0, set()
+
+    def tick(duration: float, localized: bool = True, seen: bool = False, arrived: bool = False) -> None:
+        nonlocal now
+        for _ in range(5):
+            now += duration / 5
+            goal = traveller.driver.goal
+            marker = MarkerObservation(now, 0, Pose2D(CAMERA[0] + 0.8, 0.0, math.pi), np.array(SIGMA))
+            situation = Situation(
+                estimate=PoseEstimate(now, WEST.waiting_pose, np.array(SIGMA)) if localized else None,
+                navigation=NavigationReport(goal.id, "arrived" if arrived else "driving") if goal else None,
+                observation=marker if seen else None,
+            )
+            traveller.step(Tick(situation), now)
+
+    for _ in range(steps):
+        match rng.choices(("goal", "message", "time"), (1, 20, 15))[0]:
+            case "goal":
+                traveller.step(rng.choice((GoalCancelled(), GoalGiven(RIDER_GOAL), GoalGiven(DRIVER_GOAL))), now)
+            case "message":
+                usual = _USUAL.get(traveller.status(now).state, (Driver, Ack))
+                kinds = usual if rng.random() < 0.6 else tuple(MESSAGE_TYPES.values())
+                offer = traveller.driver.offer
+                ride_id = offer.ride_id if offer is not None else traveller.hitchhiker.ride_id
+                message = messages(DRIVER, RIDER, ride_id)[rng.choice(kinds)]
+                if isinstance(message, Ack):
+                    of, following = rng.choice(("lock", "driver", "decouple")), rng.random() < 0.7
+                    message = replace(message, of=of, following=following)
+                traveller.step(message, now)
+            case "time":
+                duration = rng.choice((0.2, 0.2, 0.5, 1.0, 1.0, 2.0, 2.0, 20.0))
+                tick(duration, rng.random() < 0.95, rng.random() < 0.8, rng.random() < 0.3)
+        status = traveller.status(now)
+        visited.add(f"{'rider' if traveller.rides else 'driver'} {status.state}")
+        assert decode_status(encode_status(status)) == status
+    for _ in range(40):
+        tick(5.0)
+    assert traveller.status(now).state in ("idle", "navigating")  # left alone, it does not wait for anybody
+    return visited
+
+
+def test_no_order_of_events_breaks_a_traveller_or_keeps_it_waiting() -> None:
+    visited = set().union(*(_walk(seed, 150) for seed in range(20)))
+    riding = {f"rider {state.value}" for state in HitchhikerState if state is not HitchhikerState.IDLE}
+    assert visited == riding | {f"driver {state.value}" for state in DriverState}
