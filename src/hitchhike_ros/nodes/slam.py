@@ -16,8 +16,8 @@ Published:
 Services used:
     static_map (nav_msgs/GetMap): the map to start from
 Parameters:
-    ~config (path), sections ``localization`` (localization.localizer.LocalizerParameters) and ``new_obstacles``
-        (mapping.new_obstacles.NewObstaclesParameters)
+    ~config (path), sections ``localization`` (localization.localizer.LocalizerParameters) and ``mapping``
+        (mapping.new_obstacles.MappingParameters)
     ~urdf (path): mount of the laser
     ~world (path): markers at known places
     ~initial_pose_x, ~initial_pose_y (m), ~initial_pose_a (rad): start, all three or none
@@ -49,7 +49,7 @@ from hitchhike_ros.errors import HitchhikeError, MessageError, ParameterError, S
 from hitchhike_ros.geometry import compose, inverse, pose_from_matrix
 from hitchhike_ros.localization.localizer import EkfLocalizer, LocalizerParameters
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.new_obstacles import NewObstacleMapper, NewObstaclesParameters
+from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import load_sites
 from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.messages import NewObstacles
@@ -81,7 +81,7 @@ class Slam:
 
     def __init__(self) -> None:
         self._params = node_parameters(LocalizerParameters, "localization")
-        mapper_params = node_parameters(NewObstaclesParameters, "new_obstacles")
+        mapper_params = node_parameters(MappingParameters, "mapping")
         self._markers = load_sites(path_parameter("world")).markers
         self._T_base_laser = pose_from_matrix(mount(path_parameter("urdf"), "laser"))
         self._odom_frame = frame("odom")

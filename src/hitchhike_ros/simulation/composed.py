@@ -18,7 +18,7 @@ from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.localization.localizer import EkfLocalizer, LocalizerParameters
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.new_obstacles import NewObstacleMapper, NewObstaclesParameters
+from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.parameters import load_parameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
@@ -63,7 +63,7 @@ class ComposedRobot:
         self._localizer = EkfLocalizer(
             grid, sites.markers, load_parameters(LocalizerParameters, "localization", config), self._T_base_laser
         )
-        self.mapper = NewObstacleMapper(grid, load_parameters(NewObstaclesParameters, "new_obstacles", config))
+        self.mapper = NewObstacleMapper(grid, load_parameters(MappingParameters, "mapping", config))
         self._planner = GlobalPlanner(load_parameters(GlobalPlannerParams, "global_planner", config), self.limits)
         self._replanner = Replanner(self._planner, load_parameters(ReplannerParams, "path_planning", config))
         avoidance = load_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance", config)
