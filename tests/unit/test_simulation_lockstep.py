@@ -79,3 +79,21 @@ def test_switching_off_forgives_and_on_gives_new_patience(lockstep: Lockstep) ->
     assert slam in lockstep.waiting_for
     lockstep.set_modules("p3dx", RIDING)
     assert slam not in lockstep.waiting_for
+
+
+def test_who_has_answered_before_is_waited_for_longer() -> None:
+    lockstep = Lockstep(timeout_s=5.0, join_timeout_s=0.5)
+    lockstep.set_modules("p3dx", ALONE)
+    assert not lockstep.waits(0.0)
+    lockstep.sent("p3dx", SCAN, 1.0)
+    assert lockstep.waits(0.4)
+    assert not lockstep.waits(0.6)
+    lockstep.answered("p3dx", "slam", 1.0)
+    lockstep.give_up()
+    lockstep.sent("p3dx", SCAN, 2.0)
+    assert lockstep.waits(4.9)
+    assert not lockstep.waits(5.1)
+    for modules in (RIDING, ALONE):  # off and on again: it has to join anew
+        lockstep.set_modules("p3dx", modules)
+    lockstep.sent("p3dx", SCAN, 3.0)
+    assert not lockstep.waits(0.6)

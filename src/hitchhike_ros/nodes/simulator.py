@@ -1,8 +1,8 @@
 """simulator: the robots of a world file, their sensors and simulated time (pybullet, no window).
 
 With ``~lockstep`` it waits after every sensor frame until the modules that are on, by ``hhike_msg/status``, have
-published their ``lockstep/answer`` to it, for at most ``answer_timeout_s`` of wall time. A frame goes out, and is
-rendered, only when somebody subscribes it.
+published their ``lockstep/answer`` to it, for a bounded wall time. A frame is made and goes out only when somebody
+subscribes it.
 
 Per robot, in its namespace
     Subscribed:
@@ -86,7 +86,8 @@ T = TypeVar("T")
 class SimulatorParams:
     """Rates in simulated time. ``clock_rate_hz`` divides the physics rate and is a multiple of the others.
 
-    ``max_real_time_factor`` 0 is as fast as possible. ``answer_timeout_s`` and ``print_period_s`` are wall time.
+    ``max_real_time_factor`` 0 is as fast as possible. The last three are wall time: how long lock-step waits for a
+    module, for one that has not answered yet since it was switched on, and how often the real-time factor is printed.
     """
 
     clock_rate_hz: Rate = 20
@@ -95,7 +96,8 @@ class SimulatorParams:
     depth_rate_hz: Rate = 5
     joint_state_rate_hz: Rate = 5
     max_real_time_factor: NonNegative = 0.0
-    answer_timeout_s: Positive = 0.5
+    answer_timeout_s: Positive = 5.0
+    join_timeout_s: Positive = 0.5
     print_period_s: Positive = 30.0
 
 
@@ -187,7 +189,7 @@ class Simulator:
         self._world = World(path_parameter("world"), seed, world_params, package=Path(str(package)))
         self._diagnostics = Diagnostics("simulator")
         self._diagnostics.set(OK, "running", contacts=0, lockstep_misses=0)
-        self._lockstep = Lockstep()
+        self._lockstep = Lockstep(self._params.answer_timeout_s, self._params.join_timeout_s)
         self._answers = threading.Condition()  # guards the lock-step
         self._orders: deque[Callable[[], None]] = deque()
         self._paused = False
@@ -274,12 +276,13 @@ class Simulator:
             self._lockstep.sent(robot.robot.name, sensor, now)
 
     def _wait_for_answers(self) -> None:
-        timeout = self._params.answer_timeout_s
+        sent = time.monotonic()
         with self._answers:
-            self._answers.wait_for(lambda: not self._lockstep.waiting_for, timeout)
+            while self._lockstep.waits(time.monotonic() - sent) and not rospy.is_shutdown():
+                self._answers.wait(0.05)
             late = self._lockstep.give_up()
         for robot, module in late:
-            rospy.logwarn_throttle(10.0, "%s/%s did not answer within %g s", robot, module, timeout)
+            rospy.logwarn_throttle(10.0, "%s/%s did not answer in time", robot, module)
 
     def _on_status(self, msg: String, name: str) -> None:
         try:

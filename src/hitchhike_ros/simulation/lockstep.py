@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 
 from hitchhike_ros.protocol.status import ModuleSwitches
 
@@ -20,13 +19,16 @@ _ANSWERS = {
 class Lockstep:
     """Frames that were sent and not yet answered, of all robots.
 
-    A module that lets ``patience`` frames in a row go by is not waited for until it answers again, so that one that
-    died slows nothing down.
+    A module that has answered since it was switched on is waited for long, so that a loaded machine makes a run slower
+    and not different; one that has not, shortly: it may still be subscribing, or not be there at all. Whoever lets
+    ``patience`` frames in a row go by is not waited for until it answers again.
     """
 
-    def __init__(self, patience: int = 3) -> None:
-        self._patience = patience
+    def __init__(self, timeout_s: float = 5.0, join_timeout_s: float = 0.5, patience: int = 3) -> None:
+        """The timeouts are wall time."""
+        self._timeout_s, self._join_timeout_s, self._patience = timeout_s, join_timeout_s, patience
         self._on: dict[str, set[str]] = {}
+        self._joined: set[tuple[str, str]] = set()
         self._awaited: dict[tuple[str, str], float] = {}
         self._missed_in_a_row: Counter[tuple[str, str]] = Counter()
         self.misses: Counter[tuple[str, str]] = Counter()
@@ -36,12 +38,19 @@ class Lockstep:
         """(robot, module) of whoever owes an answer."""
         return tuple(self._awaited)
 
+    def waits(self, elapsed_s: float) -> bool:
+        """Whether an answer is still worth waiting for, ``elapsed_s`` of wall time after the last frame was sent."""
+        return any(
+            elapsed_s < (self._timeout_s if key in self._joined else self._join_timeout_s) for key in self._awaited
+        )
+
     def set_modules(self, robot: str, modules: ModuleSwitches) -> None:
         """What is on; a module that is switched on gets the patience of a new one, one that is off owes nothing."""
         on = {name for name, (_, switches) in _ANSWERS.items() if any(getattr(modules, s) for s in switches)}
         for module in on - self._on.get(robot, set()):
             self._missed_in_a_row.pop((robot, module), None)
         self._on[robot] = on
+        self._joined = {key for key in self._joined if key[0] != robot or key[1] in on}
         for key in [key for key in self._awaited if key[0] == robot and key[1] not in on]:
             del self._awaited[key]
 
@@ -55,11 +64,13 @@ class Lockstep:
         """A module is done with the frame of that stamp, and so with all before it."""
         key = (robot, module)
         self._missed_in_a_row.pop(key, None)
+        if module in self._on.get(robot, ()):
+            self._joined.add(key)
         if key in self._awaited and stamp > self._awaited[key] - 1e-6:
             del self._awaited[key]
 
-    def give_up(self) -> Iterable[tuple[str, str]]:
-        """Wait no longer for these frames: whoever still owes an answer has missed one."""
+    def give_up(self) -> tuple[tuple[str, str], ...]:
+        """Wait no longer: whoever still owes an answer has missed one. They are returned."""
         late = self.waiting_for
         self._awaited.clear()
         self._missed_in_a_row.update(late)

@@ -50,7 +50,7 @@ class WorldParams:
 
     physics_rate_hz: Annotated[int, msgspec.Meta(ge=60)] = 240
     encoder_steps: Steps = 4
-    ray_threads: Steps = 2
+    ray_threads: Steps = 1
     renderer: Renderer = "auto"
     # A touch that was away for less than this is the same contact.
     contact_gap_s: Positive = 0.5
