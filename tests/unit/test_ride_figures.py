@@ -30,6 +30,7 @@ from hitchhike_ros.experiments.ride_record import (
     load_record,
     save_record,
 )
+from hitchhike_ros.protocol.driver import ARRIVED
 from hitchhike_ros.protocol.status import ServoCommand, Status
 
 
@@ -181,7 +182,7 @@ def test_a_robot_has_arrived_when_it_moved_and_says_so() -> None:
     robot.add_status(Status(2.0, "t", reason="Navigation failed: blocked"))
     assert robot.ended
     assert not robot.arrived
-    robot.add_status(Status(3.0, "t", reason="arrived"))
+    robot.add_status(Status(3.0, "t", reason=ARRIVED))
     assert robot.arrived
 
 

@@ -9,6 +9,7 @@ import msgspec
 
 from hitchhike_ros.datatypes import Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.errors import InputFileError
+from hitchhike_ros.protocol.driver import ARRIVED
 from hitchhike_ros.protocol.machine import Award
 from hitchhike_ros.protocol.messages import Covariance, covariance_rows
 from hitchhike_ros.protocol.status import Status
@@ -112,7 +113,7 @@ class RobotRecord:
         """Whether it stands at its goal, or never had one."""
         if not self.has_goal:
             return True
-        return self.ended and self.newest_status is not None and self.newest_status.reason == "arrived"
+        return self.ended and self.newest_status is not None and self.newest_status.reason == ARRIVED
 
     def add_status(self, status: Status) -> bool:
         """Take a status; whether anything but time, metres and feed-forward changed."""

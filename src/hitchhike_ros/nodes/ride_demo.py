@@ -53,6 +53,7 @@ _STOP_TIMEOUT_S = 25.0
 _POLL_S = 0.2
 _FAMILY_PERIOD_S = 5.0
 _TROUBLE = re.compile(r"\[FATAL\]|\[ERROR\]|^\w*(Error|Exception)\b|process has died|cannot|ERROR:")
+_DEATH = re.compile(r"\[(\S+)-\d+\] process has died")
 _SHOWN_TROUBLE = 6
 
 
@@ -86,6 +87,7 @@ class Ride:
         self._launch: subprocess.Popen[bytes] | None = None
         self._monitor: subprocess.Popen[bytes] | None = None
         self._family: dict[int, psutil.Process] = {}
+        self._log_read = 0
 
     def __enter__(self) -> Ride:
         self.logs.mkdir(parents=True, exist_ok=True)
@@ -93,20 +95,28 @@ class Ride:
         return self
 
     def __exit__(self, *_exc: object) -> None:
-        if self._monitor is not None and self._monitor.poll() is None:
-            _end(self._monitor, signal.SIGINT, _MONITOR_END_TIMEOUT_S)
-        if self._launch is not None:
-            _say("Stopping the nodes", passing=True)
-            self._note_family()
-            _end(self._launch, signal.SIGINT, _STOP_TIMEOUT_S)
-            _end_all(list(self._family.values()))
-            _say("", passing=True)
+        if self._launch is None:
+            return
+        # An impatient second Ctrl-C must not leave nodes behind.
+        interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        self._note_family()
+        # Both at once: the monitor reports the sooner for not sharing the machine with the nodes.
+        for process in (self._monitor, self._launch):
+            if process is not None and process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        if self._monitor is not None:
+            _wait(self._monitor, _MONITOR_END_TIMEOUT_S)
+        _say("Stopping the nodes", passing=True)
+        _wait(self._launch, _STOP_TIMEOUT_S)
+        _end_all(list(self._family.values()))
+        _say("", passing=True)
+        signal.signal(signal.SIGINT, interrupt)
 
     def run(self) -> int:
         """Start nodes and monitor, wait for the monitor's end; its exit status.
 
         Raises:
-            HitchhikeError: the nodes did not start, or roslaunch ended before the ride.
+            HitchhikeError: the nodes did not start, or one of them or roslaunch ended before the ride.
         """
         options = self._options
         self._launch = self._start(
@@ -133,9 +143,9 @@ class Ride:
             if time.monotonic() >= next_look:
                 next_look = time.monotonic() + _FAMILY_PERIOD_S
                 self._note_family()
-            if self._launch.poll() is not None:
-                _end(self._monitor, signal.SIGINT, _MONITOR_END_TIMEOUT_S)
-                raise HitchhikeError(f"roslaunch ended with status {self._launch.returncode} before the ride did")
+            cause = self._broken()
+            if cause:
+                raise HitchhikeError(cause)
             time.sleep(_POLL_S)
         if not (self.folder / "ride.json").is_file():
             raise HitchhikeError(f"the ride's monitor ended with status {status} and left no report")
@@ -178,6 +188,19 @@ class Ride:
             time.sleep(_POLL_S)
         raise HitchhikeError(f"no ROS master within {_MASTER_TIMEOUT_S:.0f} s")
 
+    def _broken(self) -> str:
+        """Why the ride cannot go on, or nothing: a node that dies early is known to roslaunch alone."""
+        assert self._launch is not None
+        with (self.logs / "roslaunch.log").open("rb") as log:
+            log.seek(self._log_read)
+            news = log.read()
+        self._log_read += len(news)
+        dead = _DEATH.search(news.decode(errors="replace"))
+        if dead is not None:
+            return f"node {dead.group(1)} died"
+        ended = self._launch.poll()
+        return "" if ended is None else f"roslaunch ended with status {ended} before the ride did"
+
     def _note_family(self) -> None:
         """Remember what roslaunch started: its nodes have sessions of their own, and may outlive it."""
         assert self._launch is not None
@@ -210,17 +233,18 @@ def _run(options: Options) -> int:
         folder = options.output if options.runs == 1 else options.output / f"seed-{seed}"
         count = f"Ride {i + 1} of {options.runs}: " if options.runs > 1 else ""
         _say(f"{count}{options.world.path.name}, seed {seed}, logs in {_shown(folder / 'log')}")
+        failure = ""
         with Ride(options, seed, folder) as ride:
             try:
                 failed |= ride.run() != 0
             except HitchhikeError as exc:
-                failed = True
-                print("\n".join([f"Failed: {exc}", *ride.trouble()]), file=sys.stderr)
+                failure = f"Failed: {exc}"
         report = folder / "ride.json"
         if report.is_file():
             reports.append(json.loads(report.read_bytes()))
-            if not reports[-1]["completed"]:
-                print("\n".join(["Lines of the logs:", *ride.trouble(), f"All logs: {ride.logs}"]), file=sys.stderr)
+        if failure or not reports or not reports[-1]["completed"]:
+            failed = True
+            print("\n".join(line for line in (failure, *ride.trouble(), f"Logs: {ride.logs}") if line), file=sys.stderr)
     _summarize(options, seeds, reports)
     return 1 if failed or len(reports) < len(seeds) else 0
 
@@ -286,10 +310,8 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _end(process: subprocess.Popen[bytes], how: signal.Signals, timeout_s: float) -> None:
-    """Ask the process to end, wait, and end it for good if it does not."""
-    if process.poll() is None:
-        process.send_signal(how)
+def _wait(process: subprocess.Popen[bytes], timeout_s: float) -> None:
+    """Wait for the process's end, and end it for good if it takes too long."""
     try:
         process.wait(timeout_s)
     except subprocess.TimeoutExpired:
