@@ -63,6 +63,12 @@ def test_every_import_has_a_provider(folder: str) -> None:
     assert {name: provider(name) for name in imports(folder) if provider(name) not in provided} == {}
 
 
+def test_every_python_library_for_running_is_imported() -> None:
+    programs = {f"python3-ros{name}" for name in ("bag", "launch", "node", "param", "service", "topic")}
+    libraries = {name for name in names(package(), ("exec_depends",)) if name.startswith("python3-")} - programs
+    assert libraries - {provider(name) for name in imports("src")} == set()
+
+
 def test_every_node_of_a_launch_file_has_a_provider() -> None:
     files = [path for pattern in ("launch_scripts/*.launch", "tests/rostest/*.test") for path in ROOT.glob(pattern)]
     used = {str(node.get("pkg")) for path in files for node in ElementTree.parse(path).iter("node")} - {"hitchhike_ros"}

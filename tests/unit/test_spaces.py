@@ -27,7 +27,7 @@ def run(space: Path, command: str) -> str:
     environment = {"PATH": "/usr/bin:/bin", "HOME": os.environ.get("HOME", "/")}
     script = f". '{space}/setup.bash' && cd / && {command}"
     done = subprocess.run(
-        ["bash", "-c", script], env=environment, check=False, capture_output=True, text=True, timeout=60
+        ["bash", "-c", script], env=environment, check=False, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
