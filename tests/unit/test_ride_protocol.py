@@ -26,10 +26,10 @@ from protocol_helpers import (
     messages,
 )
 
-from hitchhike_ros.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
-from hitchhike_ros.errors import MessageError
+from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Obstacle, Pose2D, PoseEstimate
+from hitchhike_ros.errors import MessageError, UnreachableError
 from hitchhike_ros.geometry import between, compose, distance, wrap_angle
-from hitchhike_ros.protocol.driver import DriverState
+from hitchhike_ros.protocol.driver import DriverState, Planner
 from hitchhike_ros.protocol.hitchhiker import HitchhikerState
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
@@ -50,6 +50,7 @@ from hitchhike_ros.protocol.messages import (
     Accept,
     Ack,
     Aligned,
+    Beacon,
     Coupled,
     Decouple,
     Driver,
@@ -59,7 +60,7 @@ from hitchhike_ros.protocol.messages import (
     encode,
 )
 from hitchhike_ros.protocol.parameters import HitchhikingParams
-from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, Status, decode_status, encode_status
+from hitchhike_ros.protocol.status import GoalCommand, KnownRobot, ModuleSwitches, Status, decode_status, encode_status
 from hitchhike_ros.protocol.traveller import Traveller
 
 DT = 0.2
@@ -330,6 +331,62 @@ def test_why_a_robot_goes_on_alone_stays_in_its_status() -> None:
     assert world.rider.statuses[-1].reason == "Driver not found"
 
 
+# What one traveller decides by itself.
+
+
+def _traveller(planner: Planner = corridor_path, **params: Any) -> Traveller:
+    return Traveller(RIDER, HitchhikingParams(**params), SITES, planner, MARKER_POSE, CAMERA, 0.3)
+
+
+def _here(now: float) -> Tick:
+    return Tick(Situation(estimate=PoseEstimate(now, WEST.waiting_pose, np.array(SIGMA))))
+
+
+def _walled(_start: Pose2D, _goal: Pose2D) -> FloatArray:
+    raise UnreachableError("no way")
+
+
+@pytest.mark.parametrize(
+    ("params", "planner", "goal", "rides"),
+    [
+        ({}, corridor_path, RIDER_GOAL, True),
+        ({"priority": 15}, corridor_path, RIDER_GOAL, True),
+        ({"priority": 16}, corridor_path, RIDER_GOAL, False),
+        ({"may_ride": False}, corridor_path, RIDER_GOAL, False),
+        ({}, corridor_path, Pose2D(21.7, 5.72), False),  # 19.9 m
+        ({}, _walled, RIDER_GOAL, False),
+    ],
+)
+def test_when_it_asks_for_a_ride(params: dict[str, Any], planner: Planner, goal: Pose2D, rides: bool) -> None:
+    traveller = _traveller(planner, **params)
+    traveller.step(GoalGiven(goal), 1.0)
+    traveller.step(Tick(Situation()), 1.1)
+    assert traveller.status(1.1).state == "idle"  # it does not know yet where it is
+    traveller.step(_here(1.2), 1.2)
+    assert traveller.rides is rides
+    assert traveller.status(1.2).state == ("requesting" if rides else "navigating")
+
+
+def test_a_goal_that_is_cancelled_before_the_robot_knows_its_place_is_forgotten() -> None:
+    traveller = _traveller()
+    traveller.step(GoalGiven(RIDER_GOAL), 1.0)
+    traveller.step(GoalCancelled(), 1.1)
+    traveller.step(_here(1.2), 1.2)
+    assert traveller.status(1.2).state == "idle"
+
+
+def test_others_are_known_where_they_say_they_are_as_long_as_they_speak() -> None:
+    traveller = _traveller()
+    heard = messages(DRIVER, "*", "")
+    traveller.step(heard[Request], 10.0)
+    assert [(r.x, r.y) for r in traveller.status(10.0).robots] == [(1.8, 5.72)]
+    traveller.step(replace(heard[Beacon], radius_m=0.27), 11.0)
+    assert traveller.status(13.9).robots == (KnownRobot(1.0, 2.0, 0.27),)
+    traveller.step(heard[Driver], 13.9)
+    assert traveller.status(14.1).robots == (KnownRobot(3.0, 5.72, 0.27),)
+    assert traveller.status(17.0).robots == ()
+
+
 # Anything, in any order.
 
 _USUAL: dict[str, tuple[type[Message], ...]] = {
@@ -346,8 +403,7 @@ _USUAL: dict[str, tuple[type[Message], ...]] = {
 def _walk(seed: int, steps: int) -> set[str]:
     """A traveller to whom everything happens, what is usual more often than the rest; the states that it saw."""
     rng = random.Random(seed)
-    params = HitchhikingParams(min_ride_m=5.0, may_ride=seed % 2 == 0)
-    traveller = Traveller(RIDER, params, SITES, corridor_path, MARKER_POSE, CAMERA, 0.3)
+    traveller = _traveller(min_ride_m=5.0, may_ride=seed % 2 == 0)
     now, visited = 0.0, set()
 
     def tick(duration: float, localized: bool = True, seen: bool = False, arrived: bool = False) -> None:
