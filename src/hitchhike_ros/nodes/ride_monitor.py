@@ -238,7 +238,7 @@ class RideMonitor:
         draw_ride(self._output / "map.png", record, ride, load_map(self._world.map), self._world.sites, title)
         self._screen.end()
         parts = [f"{verdict}, {sim_s:.1f} s simulated in {wall_s:.1f} s, seed {record.seed}"]
-        if self._params.tables and ride is not None and ride.riding_at is not None:
+        if self._params.tables and ride is not None and ride.released_at is not None:
             parts += [figure_table(figures, colours), box_table(matches, colours), cpu_table(costs, colours)]
         if self._params.tables:
             parts += [f"Report in {self._output}: ride.json, record.json, map.png"]
