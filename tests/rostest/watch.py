@@ -69,8 +69,9 @@ class Watch:
         return pose_from_msg(self.newest[f"/{robot}/ground_truth"].pose.pose)
 
     def speed(self, robot: str) -> float:
-        """How fast the robot is, in m/s."""
-        return float(self.newest[f"/{robot}/ground_truth"].twist.twist.linear.x)
+        """How fast the robot is, in m/s; 0 before anything is known of it."""
+        truth = self.newest.get(f"/{robot}/ground_truth")
+        return 0.0 if truth is None else float(truth.twist.twist.linear.x)
 
     def of_type(self, cls: type[Message]) -> list[Any]:
         """The network messages of one type, oldest first."""

@@ -31,6 +31,7 @@ class MappingParameters:
     cell_m: Positive = 0.02
     max_range_m: Positive = 4.0  # beyond, noise blurs a box by more than its bound
     wall_margin_m: Positive = 0.12  # nearer to a wall of the map an end point is that wall
+    robot_margin_m: NonNegative = 0.15  # around a known robot: its pose and the ranges have errors
     margin_sigmas: NonNegative = 2.5  # of the range, beside the margin
     reference_sigma_m: Positive = 0.015  # a beam with this noise or less counts fully
     max_score: Positive = 10.0  # so many beams through a cell remove it, however long it stood there
@@ -173,7 +174,7 @@ class NewObstacleMapper:
         rows, columns = np.where(away[:, None], cells, 0).T
         away &= self._free[rows, columns] & (self._to_wall[rows, columns] > p.wall_margin_m + p.margin_sigmas * sigma)
         for robot, radius_m in ignore:
-            away &= np.hypot(points[:, 0] - robot.x, points[:, 1] - robot.y) > radius_m
+            away &= np.hypot(points[:, 0] - robot.x, points[:, 1] - robot.y) > radius_m + p.robot_margin_m
         return away
 
     def _mark(self, points: FloatArray, sigma: FloatArray, stamp: float, pose: Pose2D) -> None:
