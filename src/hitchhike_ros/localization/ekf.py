@@ -6,7 +6,6 @@ Joseph form or in information form, both of which keep the covariance symmetric 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -206,8 +205,3 @@ def mahalanobis_squared(error: FloatArray, covariance: FloatArray) -> float:
 def pose_error(estimate: Pose2D, truth: Pose2D) -> FloatArray:
     """Estimate minus truth (3,), theta wrapped."""
     return np.array([estimate.x - truth.x, estimate.y - truth.y, wrap_angle(estimate.theta - truth.theta)])
-
-
-def planar_sigma(covariance: FloatArray) -> float:
-    """Standard deviation in m of the position along its worst direction."""
-    return math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0))

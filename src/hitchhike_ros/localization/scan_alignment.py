@@ -9,7 +9,9 @@ matrix is then singular in that direction, and the filter keeps what it had from
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive, UnitInterval
@@ -17,12 +19,14 @@ from hitchhike_ros.geometry import transform_points
 from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise
 
+Count = Annotated[int, msgspec.Meta(ge=1)]
+
 
 @dataclass(frozen=True)
 class AlignmentParameters:
     """How a scan is aligned."""
 
-    max_beams: int = 150
+    max_beams: Count = 150
     max_gap_m: Positive = 0.2  # end points further apart count as this far when beams are spread over the walls
     wall_sigma_m: Positive = 0.01  # roughness of walls
     cell_sigma: NonNegative = 0.15  # error of the map's faces, in cells
@@ -31,8 +35,8 @@ class AlignmentParameters:
     max_gate_m: Positive = 0.6
     beam_weight: UnitInterval = 0.2  # neighbouring beams share their wall's errors
     min_explained: UnitInterval = 0.2
-    min_beams: int = 15
-    iterations: int = 6
+    min_beams: Count = 15
+    iterations: Count = 6
     annealing: UnitInterval = 0.2  # how fast the error expected of the prior shrinks from step to step
 
 
