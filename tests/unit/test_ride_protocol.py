@@ -375,6 +375,16 @@ def test_a_goal_that_is_cancelled_before_the_robot_knows_its_place_is_forgotten(
     assert traveller.status(1.2).state == "idle"
 
 
+def test_a_goal_given_during_a_ride_waits_until_the_robot_knows_its_place_again() -> None:
+    world = World()
+    world.run(until=lambda: world.rider.pose.x > 10.0)
+    traveller = world.rider.traveller
+    world.step(world.rider, GoalGiven(RIDER_GOAL))
+    world.step(world.rider, _here(world.now))  # localization still says what it knew before the ride
+    assert traveller.status(world.now).state == "relocalizing"
+    world.come_to_an_end()
+
+
 def test_others_are_known_where_they_say_they_are_as_long_as_they_speak() -> None:
     traveller = _traveller()
     heard = messages(DRIVER, "*", "")
