@@ -1,0 +1,99 @@
+#!/usr/bin/python3
+"""P17 Experiment 1 with boxes, whole: every bound of the ride, and modules on and off as in the paper's Table 3."""
+
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import unittest
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import rospy
+import rostest
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from watch import Watch
+
+from hitchhike_ros.protocol.messages import Accept, Ack, Aligned, Coupled, Decouple, Driver, Lock, Request
+from hitchhike_ros.protocol.status import ModuleSwitches
+
+DEADLINE_S = 800
+ON = ModuleSwitches()
+RIDER = ModuleSwitches(PP=False, OBS=False, LZN=False, MAP=False, COM=True, VS=True)
+# A module that is off may cost so much of a core more than a node that does nothing.
+OFF_COST = 0.005
+
+
+class RideTest(unittest.TestCase):
+    """One ride, looked at from all sides: it is driven once, before the tests."""
+
+    watch: Watch
+    ride: dict[str, Any]
+    said: str
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        cls.watch = Watch("p3dx", "turtlebot")
+        with tempfile.TemporaryDirectory() as folder:
+            command = ["rosrun", "hitchhike_ros", "ride_monitor", "__name:=ride_monitor"]
+            command += [f"_world:={rospy.get_param('~world')}", f"_output:={folder}"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+            cls.said = done.stdout + done.stderr
+            assert done.returncode == 0, cls.said
+            cls.ride = json.loads((Path(folder) / "ride.json").read_text(encoding="utf-8"))
+
+    def figure(self, name: str) -> Any:
+        return next(figure["value"] for figure in self.ride["figures"] if figure["name"] == name)
+
+    def test_bounds(self) -> None:
+        self.assertTrue(self.ride["completed"])
+        bounded = [f for f in self.ride["figures"] if f["bound"] is not None and f["name"] != "real_time_factor"]
+        self.assertGreaterEqual(len(bounded), 10)
+        self.assertEqual([], [f for f in bounded if not f["ok"]])
+
+    def test_ride_and_award(self) -> None:
+        self.assertAlmostEqual(20.4, self.figure("ride"), delta=0.02 * 20.4)
+        self.assertEqual(8.2, round(self.figure("award"), 1))
+
+    def test_hitchhiker_reached_its_own_goal_alone(self) -> None:
+        truth = self.watch.truth("turtlebot")
+        self.assertLessEqual(math.hypot(truth.x - 25.0, truth.y - 2.5), 0.15)
+        self.assertEqual("Goal reached", self.watch.statuses["turtlebot"][-1].reason)
+
+    def test_messages_came_in_order(self) -> None:
+        first = [self.watch.of_type(cls)[0] for cls in (Request, Accept, Lock, Aligned, Coupled, Driver, Decouple)]
+        self.assertEqual(sorted(m.time_stamp for m in first), [m.time_stamp for m in first])
+        acks = Counter(ack.of for ack in self.watch.of_type(Ack))
+        self.assertGreaterEqual(acks["decouple"], 1)
+        self.assertGreaterEqual(acks["driver"], len(self.watch.of_type(Driver)) - 2)
+
+    def test_modules_as_in_table_3(self) -> None:
+        for status in self.watch.statuses["turtlebot"]:
+            if status.state in ("riding", "settling"):
+                self.assertEqual(RIDER, status.modules, status.state)
+            elif status.state != "coupling":
+                self.assertEqual(ON, status.modules, status.state)
+        for status in self.watch.statuses["p3dx"]:
+            if status.state != "aligning":
+                self.assertEqual(ON, status.modules, status.state)
+
+    def test_modules_that_are_off_cost_nothing(self) -> None:
+        costs = {cost["node"]: cost["phases"]["riding"] for cost in self.ride["cpu"] if "riding" in cost["phases"]}
+
+        def share(node: str) -> float:
+            return float(costs[node]["cpu_s"] / costs[node]["sim_s"])
+
+        idle = share("/idle")
+        for module in ("path_planning", "obstacle_avoidance", "slam"):
+            self.assertLessEqual(share(f"/turtlebot/{module}"), idle + OFF_COST, module)
+            self.assertGreater(share(f"/p3dx/{module}"), idle + OFF_COST, f"the driver's {module} works")
+        self.assertLessEqual(share("/p3dx/visual_servoing"), idle + OFF_COST)
+        self.assertGreater(share("/turtlebot/visual_servoing"), idle + OFF_COST)
+
+
+if __name__ == "__main__":
+    rospy.init_node("ride_test")
+    rostest.rosrun("hitchhike_ros", "ride", RideTest)
