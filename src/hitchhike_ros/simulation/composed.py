@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
@@ -129,7 +130,7 @@ class ComposedRobot:
         self._observations = []
         if servo is None:
             return
-        gray = cv2.cvtColor(self.body.camera(), cv2.COLOR_RGB2GRAY)
+        gray = np.asarray(cv2.cvtColor(self.body.camera(), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         sizes = {servo.marker_id: servo.marker_size_m}
         found = self._detector.detect(gray, self.body.camera_info, sizes)
         self._observations = self._detector.observe(found, self._T_base_camera, now)
