@@ -19,11 +19,11 @@ from hitchhike_ros.servoing.marker_detector import (
     MarkerDetection,
     MarkerDetector,
     MarkerDetectorParameters,
-    corner_jacobian,
     planar_jacobian,
     planar_observation,
-    project_corners,
+    solve,
 )
+from hitchhike_ros.servoing.square_pose import SquareView, corner_jacobian, project_corners
 
 CAMERA, T_BASE_CAMERA = images.CAMERA, images.T_BASE_CAMERA
 SIZE = 0.16
@@ -117,8 +117,17 @@ def test_lens_distortion_is_taken_out():
 def detections_with_noise(detector, T, sigma_px, rng, marker_id=0):
     """As ``detect``, from corners with noise of which the spread is known, without an image."""
     corners = project_corners(T, SIZE) * 554.26 + (319.5, 239.5) + rng.normal(0.0, sigma_px, (4, 2))
-    solutions = detector._solve(corners, CAMERA, SIZE)
-    return [MarkerDetection(marker_id, corners, solutions, 1.0)]
+    return [detection_of(detector, corners, marker_id)]
+
+
+def exact_detector(sigma_px):
+    """A detector that knows the corners' noise."""
+    return MarkerDetector(MarkerDetectorParameters(corner_sigma_px=sigma_px))
+
+
+def detection_of(detector, corners, marker_id=0):
+    view = SquareView((corners - (319.5, 239.5)) / 554.26, detector.params.corner_sigma_px / 554.26, SIZE)
+    return MarkerDetection(marker_id, corners, view, solve(view), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +139,7 @@ def test_covariance_is_that_of_the_errors(distance, yaw, sigma_px):
     T = images.marker_pose(distance, yaw, 0.0, 0.1 * distance)
     truth = pose_from_matrix(T_BASE_CAMERA @ T)
     nees = []
-    detector = MarkerDetector(MarkerDetectorParameters(corner_sigma_px=sigma_px))
+    detector = exact_detector(sigma_px)
     for i in range(n):
         [seen] = detector.observe(detections_with_noise(detector, T, sigma_px, rng), T_BASE_CAMERA, LONG * i)
         error = np.array([seen.pose.x - truth.x, seen.pose.y - truth.y, wrap_angle(seen.pose.theta - truth.theta)])
@@ -143,7 +152,7 @@ def test_covariance_is_that_of_the_errors(distance, yaw, sigma_px):
 def test_six_dimensional_covariance_is_that_of_the_errors():
     rng, n = np.random.default_rng(2), 400
     T = images.marker_pose(0.8, 0.6, 0.1, 0.1)
-    detector = MarkerDetector()
+    detector = exact_detector(0.2)
     nees = []
     for _ in range(n):
         [seen] = detections_with_noise(detector, T, 0.2, rng)
@@ -159,7 +168,7 @@ def test_ambiguity_is_owned_up_to_in_the_covariance():
     T = images.marker_pose(3.0, 0.35)
     truth = pose_from_matrix(T_BASE_CAMERA @ T)
     normalised, flips = [], 0
-    detector = MarkerDetector()
+    detector = exact_detector(0.2)
     for i in range(n):
         [seen] = detector.observe(detections_with_noise(detector, T, 0.2, rng), T_BASE_CAMERA, LONG * i)
         error = wrap_angle(seen.pose.theta - truth.theta)
@@ -167,6 +176,80 @@ def test_ambiguity_is_owned_up_to_in_the_covariance():
         normalised.append(error**2 / seen.covariance[2, 2])
     assert flips > 10
     assert np.mean(normalised) < 2.0
+
+
+def rounded(corners, _rng):
+    """Where the corners are when edges along the pixels' rows are drawn without antialiasing."""
+    return np.round(corners)
+
+
+def white(sigma_px):
+    return lambda corners, rng: corners + rng.normal(0.0, sigma_px, corners.shape)
+
+
+def yaws_nearly_square_on(detector, distance, yaw_max, disturb, n):
+    """Errors of the yaws observed, their sigmas and the errors of the least-squares yaws, each (n,) rad."""
+    rng = np.random.default_rng(8)
+    rows = []
+    for i in range(n):
+        x, y = distance * rng.uniform(-0.3, 0.3), distance * rng.uniform(-0.1, 0.1)
+        T = images.marker_pose(distance, rng.uniform(-yaw_max, yaw_max), 0.0, x, y)
+        detection = detection_of(detector, disturb(project_corners(T, SIZE) * 554.26 + (319.5, 239.5), rng))
+        [seen] = detector.observe([detection], T_BASE_CAMERA, LONG * i)
+        truth = pose_from_matrix(T_BASE_CAMERA @ T).theta
+        least_squares = pose_from_matrix(T_BASE_CAMERA @ detection.T_camera_marker).theta
+        error = wrap_angle(seen.pose.theta - truth)
+        rows.append((error, math.sqrt(seen.covariance[2, 2]), wrap_angle(least_squares - truth)))
+    return np.array(rows).T
+
+
+@pytest.mark.parametrize(
+    ("disturb", "lowest_nees"), [(rounded, 0.3), (white(0.2), 0.1), (white(0.35), 0.3)], ids=["edges", "0.2", "0.35"]
+)
+@pytest.mark.parametrize(("distance", "yaw_max"), [(0.5, 0.1), (0.8, 0.1), (0.8, 0.3), (2.0, 0.2)])
+def test_yaw_nearly_square_on_is_right_within_its_covariance(distance, yaw_max, disturb, lowest_nees):
+    error, sigma, _ = yaws_nearly_square_on(MarkerDetector(), distance, yaw_max, disturb, 150)
+    assert lowest_nees < np.mean((error / sigma) ** 2) < 1.4
+    assert np.abs(error / sigma).max() < 3.5
+
+
+@pytest.mark.parametrize("sigma_px", [0.3, 0.5])
+def test_yaw_nearly_square_on_is_better_than_by_least_squares(sigma_px):
+    """Far off, where the corners' noise throws the least-squares yaw to either side."""
+    error, sigma, least_squares = yaws_nearly_square_on(exact_detector(sigma_px), 2.0, 0.2, white(sigma_px), 300)
+    assert np.std(error) < 0.93 * np.std(least_squares)
+    assert 0.7 < np.mean((error / sigma) ** 2) < 1.3
+
+
+def test_six_dimensional_covariance_nearly_square_on_is_that_of_the_errors():
+    rng, n = np.random.default_rng(9), 300
+    detector = exact_detector(0.45)
+    nees = []
+    for i in range(n):
+        T = images.marker_pose(0.8, rng.uniform(-0.1, 0.1), rng.normal(0.0, 0.05), 0.1, -0.1)
+        [seen] = detector.resolve(detections_with_noise(detector, T, 0.45, rng), T_BASE_CAMERA, LONG * i)
+        R = seen.T_camera_marker[:3, :3] @ T[:3, :3].T
+        error = np.concatenate([seen.T_camera_marker[:3, 3] - T[:3, 3], cv2.Rodrigues(R)[0].ravel()])
+        nees.append(error @ np.linalg.solve(seen.solutions[0].covariance, error))
+    assert abs(np.mean(nees) - 6) < 1.0
+
+
+def test_square_on_pose_of_a_plate_that_hangs_upside_down():
+    detector = MarkerDetector()
+    upside_down = matrix_from_xyz_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))
+    T = images.marker_pose(0.8, 0.15, 0.0, 0.2, -0.1) @ upside_down
+    detections = detections_with_noise(detector, T, 0.01, np.random.default_rng(10))
+    [seen] = detector.resolve(detections, T_BASE_CAMERA, 0.0)
+    assert seen.solutions != detections[0].solutions
+    assert angle_between(seen.T_camera_marker[:3, :3], T[:3, :3]) < 0.04
+    assert np.linalg.norm(seen.T_camera_marker[:3, 3] - T[:3, 3]) < 0.003
+
+
+def test_a_plate_that_leans_much_keeps_its_least_squares_pose():
+    detector = MarkerDetector()
+    detections = detections_with_noise(detector, images.marker_pose(0.5, 0.05, 0.6), 0.05, np.random.default_rng(11))
+    [seen] = detector.resolve(detections, T_BASE_CAMERA, 0.0)
+    assert any(np.array_equal(seen.T_camera_marker, s.T_camera_marker) for s in detections[0].solutions)
 
 
 def test_previous_image_decides_between_two_poses():

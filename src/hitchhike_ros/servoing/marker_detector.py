@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import cv2
@@ -21,13 +21,12 @@ from hitchhike_ros import _visp_tracker
 from hitchhike_ros.datatypes import CameraInfo, FloatArray, MarkerObservation, Positive, UnitInterval
 from hitchhike_ros.errors import VisionError
 from hitchhike_ros.geometry import pose_from_matrix, wrap_angle
+from hitchhike_ros.servoing.square_pose import PoseSolution, SquareView, corner_jacobian, square_on_poses
 
 # AprilTag puts the centre of the top left pixel at (0.5, 0.5); measured on rendered tags to within 0.03 px.
 PIXEL_CENTRE = 0.5
 # ViSP's tag frame is x right, y up, z towards the viewer.
 T_TAG_MARKER = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-# Corners (4, 3) of a marker of side 2 in its frame, in the order in which they are detected.
-UNIT_CORNERS = np.array([[0.0, -1.0, -1.0], [0.0, 1.0, -1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -42,10 +41,11 @@ class MarkerDetectorParameters:
     threads: Annotated[int, msgspec.Meta(ge=1)] = 1
     refine_edges: bool = True
     decode_sharpening: UnitInterval = 0.25
-    corner_sigma_px: Positive = 0.2
-    """Noise of a corner's coordinate: 0.06 to 0.09 on rendered images, more on real ones (chosen)."""
+    corner_sigma_px: Positive = 0.5
+    """Noise of a corner's coordinate: 0.4 on rendered images, whose edges keep to whole pixels (chosen)."""
     upright_sigma_rad: Positive = 0.05
-    """How well plates are mounted upright; decides between the two poses of a square (chosen)."""
+    """How well plates are mounted upright: decides between the two poses of a square, and says of one that is seen
+    square-on that what makes it narrow is its yaw (chosen)."""
     yaw_step_sigma_rad: Positive = 0.15
     """How much a marker's yaw changes from one image to the next; decides likewise (chosen)."""
     memory_s: Positive = 0.5
@@ -53,28 +53,17 @@ class MarkerDetectorParameters:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseSolution:
-    """One pose that a marker may have.
-
-    ``covariance`` is 6 x 6, of translation (m) and rotation vector (rad), both along the axes of the camera;
-    ``chi2`` is the corners' squared distance in units of their variance.
-    """
-
-    T_camera_marker: FloatArray
-    covariance: FloatArray
-    chi2: float
-
-
-@dataclass(frozen=True, eq=False)
 class MarkerDetection:
     """A marker in one image.
 
-    ``corners`` is (4, 2) px: lower left, lower right, upper right, upper left of the plate. ``solutions`` holds one or
-    two poses, the likeliest first; ``weight`` in [0.5, 1] is the probability of the first.
+    ``corners`` is (4, 2) px: lower left, lower right, upper right, upper left of the plate; ``view`` is what they say
+    without the lens. ``solutions`` holds one or two poses, the likeliest first; ``weight`` in [0.5, 1] is the
+    probability of the first.
     """
 
     id: int
     corners: FloatArray
+    view: SquareView
     solutions: tuple[PoseSolution, ...]
     weight: float
 
@@ -126,10 +115,11 @@ class MarkerDetector:
         ids, all_corners = self._detector.detect(gray)
         detections = []
         for marker_id, corners in zip(ids.tolist(), all_corners - PIXEL_CENTRE, strict=True):
-            size = sizes.get(marker_id, self.params.marker_size_m)
-            solutions = self._solve(corners, camera_info, size)
+            view = self._view(corners, camera_info, sizes.get(marker_id, self.params.marker_size_m))
+            solutions = solve(view)
             if solutions:
-                detections.append(_weighted(marker_id, corners, solutions, [s.chi2 for s in solutions]))
+                detection = MarkerDetection(marker_id, corners, view, solutions, 1.0)
+                detections.append(_weighted(detection, [s.chi2 for s in solutions]))
         return detections
 
     def resolve(
@@ -139,20 +129,16 @@ class MarkerDetector:
 
         Likelier is the pose that fits the corners better, whose marker stands upright in ``base_footprint``
         (``T_base_camera`` is (4, 4), camera in the optical frame) and whose yaw is near the one in the image before.
+        Nearly square-on, mean and covariance of the posterior replace the least-squares pose.
         """
-        p = self.params
         resolved = []
         for detection in detections:
-            then, yaw_then = self._previous.get(detection.id, (-math.inf, 0.0))
-            recent = 0.0 <= stamp - then <= p.memory_s
-            costs = []
-            for solution in detection.solutions:
-                T_base_marker = T_base_camera @ solution.T_camera_marker
-                # Upright is also who hangs upside down.
-                tilt = math.acos(min(1.0, abs(float(T_base_marker[2, 2]))))
-                step = wrap_angle(pose_from_matrix(T_base_marker).theta - yaw_then) if recent else 0.0
-                costs.append(solution.chi2 + (tilt / p.upright_sigma_rad) ** 2 + (step / p.yaw_step_sigma_rad) ** 2)
-            best = _weighted(detection.id, detection.corners, detection.solutions, costs)
+            then, yaw = self._previous.get(detection.id, (-math.inf, 0.0))
+            yaw_before = yaw if 0.0 <= stamp - then <= self.params.memory_s else None
+            best = self._likeliest_first(detection, T_base_camera, yaw_before)
+            square_on = square_on_poses(best.view, best.T_camera_marker, T_base_camera, self.params.upright_sigma_rad)
+            if square_on:
+                best = self._likeliest_first(replace(best, solutions=square_on), T_base_camera, yaw_before)
             self._previous[best.id] = (stamp, pose_from_matrix(T_base_camera @ best.T_camera_marker).theta)
             resolved.append(best)
         return resolved
@@ -163,39 +149,23 @@ class MarkerDetector:
         """The detections, resolved, as planar poses in ``base_footprint`` with covariances."""
         return [planar_observation(d, T_base_camera, stamp) for d in self.resolve(detections, T_base_camera, stamp)]
 
-    def _solve(self, corners: FloatArray, camera_info: CameraInfo, size_m: float) -> tuple[PoseSolution, ...]:
+    def _likeliest_first(
+        self, detection: MarkerDetection, T_base_camera: FloatArray, yaw_before: float | None
+    ) -> MarkerDetection:
+        p = self.params
+        costs = []
+        for solution in detection.solutions:
+            T_base_marker = T_base_camera @ solution.T_camera_marker
+            # Upright is also who hangs upside down.
+            tilt = math.acos(min(1.0, abs(float(T_base_marker[2, 2]))))
+            step = wrap_angle(pose_from_matrix(T_base_marker).theta - yaw_before) if yaw_before is not None else 0.0
+            costs.append(solution.chi2 + (tilt / p.upright_sigma_rad) ** 2 + (step / p.yaw_step_sigma_rad) ** 2)
+        return _weighted(detection, costs)
+
+    def _view(self, corners: FloatArray, camera_info: CameraInfo, size_m: float) -> SquareView:
         K = camera_info.K
         points = np.asarray(cv2.undistortPoints(corners[:, None, :], K, camera_info.D)[:, 0, :], dtype=float)
-        sigma = self.params.corner_sigma_px / math.sqrt(K[0, 0] * K[1, 1])
-        solutions = []
-        for T_camera_tag, residual in _visp_tracker.square_poses(points, size_m):
-            T = T_camera_tag @ T_TAG_MARKER
-            J = corner_jacobian(T, size_m)
-            information = J.T @ J / sigma**2
-            if np.linalg.cond(information) < 1e12:
-                solutions.append(PoseSolution(T, np.linalg.inv(information), 4 * (residual / sigma) ** 2))
-        return tuple(solutions)
-
-
-def project_corners(T_camera_marker: FloatArray, size_m: float) -> FloatArray:
-    """Corners (4, 2) of a marker in normalised image coordinates."""
-    points = 0.5 * size_m * UNIT_CORNERS @ T_camera_marker[:3, :3].T + T_camera_marker[:3, 3]
-    return points[:, :2] / points[:, 2:]
-
-
-def corner_jacobian(T_camera_marker: FloatArray, size_m: float) -> FloatArray:
-    """d(corners)/d(pose), (8, 6), of :func:`project_corners`.
-
-    Rows are x, y of each corner; columns a translation and a rotation vector about the marker's centre, both along
-    the axes of the camera: T -> [exp(w) R, t + dt].
-    """
-    J = np.empty((8, 6))
-    for i, arm in enumerate(0.5 * size_m * UNIT_CORNERS @ T_camera_marker[:3, :3].T):
-        x, y, z = arm + T_camera_marker[:3, 3]
-        projection = np.array([[1.0, 0.0, -x / z], [0.0, 1.0, -y / z]]) / z
-        J[2 * i : 2 * i + 2, :3] = projection
-        J[2 * i : 2 * i + 2, 3:] = -projection @ _cross_matrix(arm)
-    return J
+        return SquareView(points, self.params.corner_sigma_px / math.sqrt(K[0, 0] * K[1, 1]), size_m)
 
 
 def planar_jacobian(T_base_camera: FloatArray, T_camera_marker: FloatArray) -> FloatArray:
@@ -212,8 +182,8 @@ def planar_jacobian(T_base_camera: FloatArray, T_camera_marker: FloatArray) -> F
 def planar_observation(detection: MarkerDetection, T_base_camera: FloatArray, stamp: float) -> MarkerObservation:
     """A detection as a planar pose in ``base_footprint``.
 
-    The covariance is the corners' noise carried through the projection, (J^T J)^-1 sigma^2, and, as far as the other
-    pose of the square may be the true one, the distance to that.
+    The covariance is that of the likeliest pose, from the corners' noise, and, as far as the other pose of the square
+    may be the true one, the distance to that.
     """
     poses, covariances = [], []
     for solution in detection.solutions:
@@ -230,18 +200,23 @@ def planar_observation(detection: MarkerDetection, T_base_camera: FloatArray, st
     return MarkerObservation(stamp, detection.id, poses[0], covariance)
 
 
-def _weighted(
-    marker_id: int, corners: FloatArray, solutions: tuple[PoseSolution, ...], costs: list[float]
-) -> MarkerDetection:
+def solve(view: SquareView) -> tuple[PoseSolution, ...]:
+    """The least-squares poses, the better one first."""
+    solutions = []
+    for T_camera_tag, residual in _visp_tracker.square_poses(view.points, view.size_m):
+        T = T_camera_tag @ T_TAG_MARKER
+        J = corner_jacobian(T, view.size_m)
+        information = J.T @ J / view.sigma**2
+        if np.linalg.cond(information) < 1e12:
+            solutions.append(PoseSolution(T, np.linalg.inv(information), 4 * (residual / view.sigma) ** 2))
+    return tuple(solutions)
+
+
+def _weighted(detection: MarkerDetection, costs: list[float]) -> MarkerDetection:
     """A detection whose solutions are sorted by their cost, -2 log likelihood."""
-    order = sorted(range(len(solutions)), key=costs.__getitem__)
+    order = sorted(range(len(costs)), key=costs.__getitem__)
     odds = math.exp(0.5 * (costs[order[0]] - costs[order[-1]])) if len(order) == 2 else 0.0
-    return MarkerDetection(marker_id, corners, tuple(solutions[i] for i in order), 1.0 / (1.0 + odds))
-
-
-def _cross_matrix(v: FloatArray) -> FloatArray:
-    """[v]x, (3, 3): [v]x w is the cross product of v and w."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return replace(detection, solutions=tuple(detection.solutions[i] for i in order), weight=1.0 / (1.0 + odds))
 
 
 def _check_camera_info(info: CameraInfo, image: npt.NDArray[np.uint8]) -> None:
