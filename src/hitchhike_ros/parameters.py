@@ -47,6 +47,7 @@ def convert(
     except msgspec.ValidationError as exc:
         match = re.search(r"^(.*?)(?: - at `\$\.?(.*?)`)?$", str(exc), re.DOTALL)
         expected, inner = (match.group(1), match.group(2) or "") if match else (str(exc), "")
+        expected = expected.removeprefix("Expected ")
         name = ".".join(part for part in (field, inner) if part)
         raise error(file, name, _lookup(value, inner), expected) from exc
 
@@ -57,7 +58,7 @@ def load_parameters(
     """Parameters of one component: the defaults of ``cls``, then ``section`` of ``file``, then ``overrides``.
 
     Raises:
-        ParameterError: names the file (or ``~`` for an override), the field, its value and what was expected.
+        ParameterError: names the file (``private parameters`` for an override), the field, its value and the expectation.
     """
     content: dict[str, Any] = {}
     if file:
@@ -66,7 +67,7 @@ def load_parameters(
             raise ParameterError(file, section, content, "a mapping of parameters")
         convert(content, cls, file, section)
     merged = {**content, **(overrides or {})}
-    return convert(merged, cls, "~" if overrides else (file or "defaults"), section)
+    return convert(merged, cls, "private parameters" if overrides else (file or "defaults"), section)
 
 
 def _lookup(value: object, path: str) -> object:

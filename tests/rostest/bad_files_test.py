@@ -16,6 +16,8 @@ DEADLINE_S = 60
 
 
 class BadFilesTest(unittest.TestCase):
+    runs = 0
+
     def setUp(self) -> None:
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
@@ -28,7 +30,9 @@ class BadFilesTest(unittest.TestCase):
 
     def refuses(self, node: str, arguments: list[str], *expected: str) -> None:
         """Run ``node``; it has to exit non-zero and to say all of ``expected``."""
-        command = ["rosrun", "hitchhike_ros", node, *arguments]
+        # A name of its own each time: private parameters stay on the master.
+        self.__class__.runs += 1
+        command = ["rosrun", "hitchhike_ros", node, *arguments, f"__name:={node}_{self.runs}"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
         said = done.stdout + done.stderr
         self.assertNotEqual(0, done.returncode, f"{command}: {said}")

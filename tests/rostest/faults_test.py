@@ -21,7 +21,7 @@ STOP_S = 0.5
 
 
 class FaultTest(unittest.TestCase):
-    """What both suites do: wait until the robot drives, break a sensor, see it stand and say why, heal, see it drive."""
+    """What both suites do: break a sensor of a robot that drives, see it stand and say why, heal, see it drive."""
 
     __test__ = False
 

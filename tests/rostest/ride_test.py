@@ -11,15 +11,22 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import rospkg
 import rospy
 import rostest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import Watch
 
+from hitchhike_ros.datatypes import PoseEstimate
+from hitchhike_ros.geometry import distance
 from hitchhike_ros.protocol.messages import Accept, Ack, Aligned, Coupled, Decouple, Driver, Lock, Request
 from hitchhike_ros.protocol.status import ModuleSwitches
+from hitchhike_ros.simulation.composed import ComposedRide
+from hitchhike_ros.simulation.world import World
 
+PACKAGE = Path(rospkg.RosPack().get_path("hitchhike_ros"))
 DEADLINE_S = 800
 ON = ModuleSwitches()
 RIDER = ModuleSwitches(PP=False, OBS=False, LZN=False, MAP=False, COM=True, VS=True)
@@ -92,6 +99,27 @@ class RideTest(unittest.TestCase):
             self.assertGreater(share(f"/p3dx/{module}"), idle + OFF_COST, f"the driver's {module} works")
         self.assertLessEqual(share("/p3dx/visual_servoing"), idle + OFF_COST)
         self.assertGreater(share("/turtlebot/visual_servoing"), idle + OFF_COST)
+
+    def test_the_composed_ride_is_the_same(self) -> None:
+        """The same cores stepped in one process, without ROS (design §6)."""
+        rider, driver = "turtlebot", "p3dx"
+        with World(rospy.get_param("~world"), seed=0, package=PACKAGE) as world:
+            composed = ComposedRide(world, PACKAGE)
+            sigma = np.diag(np.square([0.05, 0.05, 0.03]))
+            composed.start({name: PoseEstimate(0.0, entry.start, sigma) for name, entry in world.file.robots.items()})
+            self.assertTrue(composed.run(limit_s=200.0))
+            self.assertEqual((), world.contacts())
+            there = {name: world.robots[name].ground_truth()[0] for name in (rider, driver)}
+        (award,) = composed.robots[driver].awards
+        self.assertAlmostEqual(self.figure("award"), award.points, delta=0.1)
+        for name, pose in there.items():
+            self.assertLessEqual(distance(pose, self.watch.truth(name)), 0.2, name)
+        ours = composed.robots[rider].mapper.obstacles
+        theirs = [box["found"] for box in self.ride["boxes"]]
+        self.assertEqual(len(theirs), len(ours))
+        for one in theirs:
+            offsets = [max(abs(one[k] - getattr(other, k)) for k in ("x", "y", "w", "b")) for other in ours]
+            self.assertLessEqual(min(offsets), 0.06, one)
 
 
 if __name__ == "__main__":

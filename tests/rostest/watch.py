@@ -50,7 +50,7 @@ class Watch:
         self._subscribers.append(rospy.Subscriber(topic, cls, receive, queue_size=100, tcp_nodelay=True))
 
     def until(self, condition: Callable[[], Any], deadline_s: float, what: str) -> Any:
-        """The first true value of ``condition``; AssertionError naming ``what`` when ``deadline_s`` of wall time pass."""
+        """The first true value of ``condition``; AssertionError naming ``what`` after ``deadline_s`` of wall time."""
         end = time.monotonic() + deadline_s
         with self._changed:
             while not (value := condition()):

@@ -66,7 +66,7 @@ def test_a_bad_field_is_named(tmp_path: Path, section: str, field: str, value: o
 
 def test_a_bad_override_is_not_blamed_on_the_file(tmp_path: Path) -> None:
     file = write(tmp_path, "scan: {goal: {}}\n")
-    with pytest.raises(ParameterError, match=r"^~: scan\.gain is 2, expected .*<= 1"):
+    with pytest.raises(ParameterError, match=r"^private parameters: scan\.gain is 2, expected .*<= 1"):
         load_parameters(Settings, "scan", file, {"gain": 2})
 
 

@@ -41,10 +41,11 @@ class OdometryHistory:
 
     def motion(self, since: float, until: float) -> Pose2D | None:
         """The pose at ``until`` in the base frame at ``since``; None where the readings do not reach."""
-        start, end = self._at(since), self._at(until)
+        start, end = self.at(since), self.at(until)
         return None if start is None or end is None else between(start, end)
 
-    def _at(self, stamp: float) -> Pose2D | None:
+    def at(self, stamp: float) -> Pose2D | None:
+        """Pose in ``odom`` at ``stamp``; None where the readings do not reach."""
         if not self._readings or not self._readings[0].stamp <= stamp <= self._readings[-1].stamp + _EXTRAPOLATED_S:
             return None
         last = self._readings[-1]

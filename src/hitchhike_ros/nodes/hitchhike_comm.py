@@ -41,6 +41,7 @@ from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from std_msgs.msg import String
 
+from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
 from hitchhike_ros.errors import MessageError, PlanningError, SensorDataError
 from hitchhike_ros.geometry import pose_from_matrix
@@ -106,6 +107,7 @@ class HitchhikeComm:
         self._events: deque[object] = deque()
         self._grid: OccupancyGrid | None = None
         self._situation = Situation()
+        self._odometry = OdometryHistory()
         self._estimate: PoseEstimate | None = None
         self._observations: tuple[MarkerObservation, ...] = ()
         self._published: Status | None = None
@@ -166,11 +168,16 @@ class HitchhikeComm:
 
     def _on_odometry(self, msg: OdometryMsg) -> None:
         try:
-            speed = odometry_from_msg(msg).twist.v
+            odometry = odometry_from_msg(msg)
         except SensorDataError:
-            speed = math.inf  # unknown is not standing still; the modules that drive stop by themselves
+            with self._lock:
+                self._odometry.clear()
+                # Unknown is not standing still; the modules that drive stop by themselves.
+                self._situation = replace(self._situation, speed_mps=math.inf)
+            return
         with self._lock:
-            self._situation = replace(self._situation, speed_mps=speed)
+            self._odometry.add(odometry)
+            self._situation = replace(self._situation, speed_mps=odometry.twist.v)
 
     def _on_map(self, msg: OccupancyGridMsg) -> None:
         grid = grid_from_msg(msg)
@@ -214,8 +221,10 @@ class HitchhikeComm:
         if estimate is not None and now - estimate.stamp > _ESTIMATE_AGE_S:
             estimate = None
         servo = self._traveller.status(now).servo
-        wanted = [o for o in observations if servo is not None and o.marker_id == servo.marker_id]
-        tick = Tick(replace(situation, estimate=estimate, observation=wanted[0] if wanted else None))
+        seen = next((o for o in observations if servo is not None and o.marker_id == servo.marker_id), None)
+        with self._lock:
+            odom_pose = None if seen is None else self._odometry.at(seen.stamp)
+        tick = Tick(replace(situation, estimate=estimate, observation=seen, odom_pose=odom_pose))
         for event in [*events, tick]:
             for effect in self._traveller.step(event, now):
                 self._carry_out(effect, now)

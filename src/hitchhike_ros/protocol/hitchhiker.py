@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from hitchhike_ros.datatypes import MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.geometry import distance
+from hitchhike_ros.geometry import compose, distance
 from hitchhike_ros.localization.handover import handover
+from hitchhike_ros.localization.track_heading import TrackHeading, with_heading
 from hitchhike_ros.protocol.machine import (
     GoalCancelled,
     GoalGiven,
@@ -127,6 +128,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._report_at: Driver | Decouple | None = None
         self._settled_pose: PoseEstimate | None = None
         self._taken_over = False  # by the handover of this ride
+        self._track = TrackHeading()
 
     def step(self, event: object, now: float) -> list:
         """As Machine.step; messages of other rides than the current one are ignored."""
@@ -231,6 +233,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._in_gap_since = self._now
         if self._now - self._in_gap_since >= self.params.repeat_period_s:
             self._seen_at = self._heard_at = self._now
+            self._track = TrackHeading()
             self._go(S.RIDING)
             self._send_coupled(gap)
 
@@ -247,6 +250,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _acknowledge(self, message: Driver) -> None:
         self._hear(message)
+        seen, own = self._observation(), self.situation.odom_pose
+        if seen is not None and own is not None and self.offer is not None:
+            self._track.add(compose(own, seen.pose), compose(message.pose, self.offer.marker_pose))
         gap = self.gap_m()
         following = gap is not None and self._now - self._seen_at <= self.params.repeat_period_s
         self._send(Ack(**self._to_driver(), of=message.type, acknowledges=message.seq, following=following, gap_m=gap))
@@ -392,7 +398,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         driver = self._driver_estimate()
         if driver is None or self.offer is None:
             return None
-        return handover(self.params.handover, driver, seen, self.offer.marker_pose)
+        marker, own, turn = self.offer.marker_pose, self.situation.odom_pose, self._track.turn()
+        if own is not None and turn is not None:
+            seen = with_heading(seen, driver.pose.theta + marker.theta, own.theta + turn[0], turn[1])
+        return handover(self.params.handover, driver, seen, marker)
 
     def _rough_pose(self) -> PoseEstimate | None:
         """From the driver's last message alone (P17 §4), with an uncertainty that says so."""

@@ -50,6 +50,7 @@ class Situation:
     obstacles: tuple[Obstacle, ...] = ()
     navigation: NavigationReport | None = None
     observation: MarkerObservation | None = None
+    odom_pose: Pose2D | None = None  # own pose in ``odom`` when that observation was made
 
 
 @dataclass(frozen=True, eq=False)

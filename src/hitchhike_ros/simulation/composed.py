@@ -92,6 +92,7 @@ class ComposedRobot:
         self._plan = Plan()
         self._report: NavigationReport | None = None
         self._observations: list[MarkerObservation] = []
+        self._seen_from = Pose2D()  # in odom, when the observations were made
         self._seq = 0
 
     @property
@@ -127,7 +128,7 @@ class ComposedRobot:
     def sense_image(self, now: float) -> None:
         """Look for markers, and follow, when servoing is on."""
         servo = self.status.servo
-        self._observations = []
+        self._observations, self._seen_from = [], self.body.odometry().pose
         if servo is None:
             return
         gray = np.asarray(cv2.cvtColor(self.body.camera(), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
@@ -149,6 +150,7 @@ class ComposedRobot:
             self.mapper.obstacles,
             self._report,
             seen[0] if seen else None,
+            self._seen_from if seen else None,
         )
         for effect in self.traveller.step(Tick(situation) if event is None else event, now):
             self._carry_out(effect, now, send)
@@ -245,6 +247,14 @@ class ComposedRide:
                     robot.tick(now, self._broadcast, message)
             robot.tick(now, self._broadcast)
             robot.drive(now)
+
+    def run(self, limit_s: float) -> bool:
+        """Step until every robot has ended its errand; False when ``limit_s`` of simulated time did not suffice."""
+        while self.world.now < limit_s:
+            self.step()
+            if all(robot.status.state == "idle" for robot in self.robots.values()):
+                return True
+        return False
 
     def _broadcast(self, text: str) -> None:
         self.messages.append(text)

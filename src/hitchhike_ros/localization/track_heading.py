@@ -1,0 +1,73 @@
+"""The hitchhiker's heading from the driver's track, which it knows twice: as its camera saw it, and as it was told.
+
+A single look at a marker that is nearly square-on says little of its yaw: the outline of a square changes with the
+square of the angle. Where the marker *is*, however, is seen to millimetres. Over some metres of a ride these places,
+joined with the own wheel odometry, form the same curve that the driver's messages tell in ``map``; the turn that lays
+one on the other is the heading of the own odometry frame. Chosen: the papers take both to be in line (P18 Eq. 20).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from hitchhike_ros.datatypes import MarkerObservation, Pose2D
+from hitchhike_ros.geometry import distance, wrap_angle
+
+# The stretch that is compared: longer ones gather drift of the odometry, shorter ones do not fix the heading.
+_WINDOW_M, _SHORTEST_M, _FEWEST = 4.0, 1.0, 5
+# Places nearer to the last one tell nothing new, and a driver that stands must not outweigh the way before.
+_STEP_M = 0.05
+# Error of one place across the track, and of the odometry's heading over the window (chosen).
+_PLACE_SIGMA_M, _DRIFT_SIGMA_RAD = 0.01, 0.015
+
+
+class TrackHeading:
+    """Collects places of the driver's marker and lays the seen ones on the told ones."""
+
+    def __init__(self) -> None:
+        self._places: deque[tuple[Pose2D, Pose2D]] = deque()
+
+    def add(self, T_odom_marker: Pose2D, T_map_marker: Pose2D) -> None:
+        """The marker as seen in the own ``odom`` frame, and as told in ``map`` at the same time; only places count."""
+        if self._places and distance(self._places[-1][0], T_odom_marker) < _STEP_M:
+            return
+        self._places.append((T_odom_marker, T_map_marker))
+        while distance(self._places[0][0], T_odom_marker) > _WINDOW_M:
+            self._places.popleft()
+
+    def turn(self) -> tuple[float, float] | None:
+        """Heading of ``odom`` in ``map`` in rad, and its variance; None while the track is too short."""
+        if len(self._places) < _FEWEST or distance(self._places[0][0], self._places[-1][0]) < _SHORTEST_M:
+            return None
+        seen, told = (np.array([(p[k].x, p[k].y) for p in self._places]) for k in (0, 1))
+        seen, told = seen - seen.mean(axis=0), told - told.mean(axis=0)
+        cross = float(np.sum(seen[:, 0] * told[:, 1] - seen[:, 1] * told[:, 0]))
+        turn = math.atan2(cross, float(np.sum(seen * told)))
+        c, s = math.cos(turn), math.sin(turn)
+        residual = told - seen @ np.array([[c, s], [-s, c]])
+        place = max(_PLACE_SIGMA_M**2, float(np.sum(residual**2)) / (2 * len(seen) - 3))
+        return turn, place / float(np.sum(seen**2)) + _DRIFT_SIGMA_RAD**2
+
+
+def with_heading(
+    observation: MarkerObservation, marker_heading: float, heading: float, variance: float
+) -> MarkerObservation:
+    """The observation, its yaw improved by the own heading known otherwise.
+
+    Args:
+        observation: T_h_marker as seen.
+        marker_heading: direction of the marker's normal in ``map``, rad.
+        heading: the own heading in ``map`` in rad, of that variance.
+    """
+    innovation = wrap_angle(marker_heading - heading - observation.pose.theta)
+    gain = observation.covariance[:, 2] / (observation.covariance[2, 2] + variance)
+    dx, dy, dtheta = (float(v) for v in gain * innovation)
+    p = observation.pose
+    pose = Pose2D(p.x + dx, p.y + dy, wrap_angle(p.theta + dtheta))
+    return replace(
+        observation, pose=pose, covariance=observation.covariance - np.outer(gain, observation.covariance[2])
+    )
