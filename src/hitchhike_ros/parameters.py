@@ -58,7 +58,8 @@ def load_parameters(
     """Parameters of one component: the defaults of ``cls``, then ``section`` of ``file``, then ``overrides``.
 
     Raises:
-        ParameterError: names the file (``private parameters`` for an override), the field, its value and the expectation.
+        ParameterError: names the file (``private parameters`` for an override), the field, its value and what was
+            expected.
     """
     content: dict[str, Any] = {}
     if file:

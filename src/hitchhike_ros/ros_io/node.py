@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -22,6 +23,7 @@ def run(name: str, build: Callable[[], object]) -> None:
     ``--help`` on the command line prints the docstring of the module that defines ``build``.
     """
     if {"-h", "--help"} & set(rospy.myargv(sys.argv)[1:]):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a pager may be left before the end
         print(sys.modules[build.__module__].__doc__)
         return
     rospy.init_node(name)
