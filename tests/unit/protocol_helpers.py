@@ -37,7 +37,7 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
-from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import GoalCommand
 
 RIDER, DRIVER = "turtlebot", "p3dx"
@@ -153,7 +153,7 @@ class Bench:
 def driver_in(state: DriverState, planner: Planner = corridor_path, **params: Any) -> Bench:
     """A driver that has come to ``state`` on the usual way."""
     S = DriverState
-    bench = Bench(DriverMachine(DRIVER, HitchhikingParams(**params), SITES, planner, MARKER_POSE))
+    bench = Bench(DriverMachine(DRIVER, HitchhikingParameters(**params), SITES, planner, MARKER_POSE))
     machine = bench.machine
     bench.wait()
     if state is not S.IDLE:
@@ -182,7 +182,7 @@ def rider_in(state: HitchhikerState, **params: Any) -> Bench:
     """A hitchhiker that has come to ``state`` on the usual way."""
     S = HitchhikerState
     way = list(S)
-    bench = Bench(HitchhikerMachine(RIDER, HitchhikingParams(**params), CAMERA), pose=WEST.waiting_pose)
+    bench = Bench(HitchhikerMachine(RIDER, HitchhikingParameters(**params), CAMERA), pose=WEST.waiting_pose)
     machine = bench.machine
     bench.wait()
     if state is not S.IDLE:

@@ -10,11 +10,11 @@ import yaml
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.map_file import save_map
-from hitchhike_ros.simulation.world import World, WorldParams
+from hitchhike_ros.simulation.world import World, WorldParameters
 
 PACKAGE = Path(__file__).resolve().parents[2]
 RESOLUTION = 0.05
-TINY = WorldParams(renderer="tiny")
+TINY = WorldParameters(renderer="tiny")
 
 
 def write_world(
@@ -37,5 +37,5 @@ def robot(model: str, x: float, y: float, theta: float = 0.0, marker: int | None
     return {"model": model, "start": {"x": x, "y": y, "theta": theta}, "marker": marker}
 
 
-def make_world(folder: Path, robots: dict, seed: int = 1, params: WorldParams = TINY, **content: object) -> World:
+def make_world(folder: Path, robots: dict, seed: int = 1, params: WorldParameters = TINY, **content: object) -> World:
     return World(write_world(folder, robots, **content), seed, params, package=PACKAGE)

@@ -8,11 +8,11 @@ import pytest
 from hitchhike_ros.errors import ParameterError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.parameters import convert
-from hitchhike_ros.planning.costmap import CostmapParams, build_costmap, label_regions
+from hitchhike_ros.planning.costmap import CostmapParameters, build_costmap, label_regions
 from hitchhike_ros.robot_model import RobotLimits
 
 LIMITS = RobotLimits(0.3, 0.1, 0.2, 0.3, 0.25, 1.0, 2.0)  # inscribed radius 0.2 m
-PARAMS = CostmapParams(margin_m=0.1, inflation_m=1.0, clearance_weight=2.0)
+PARAMS = CostmapParameters(margin_m=0.1, inflation_m=1.0, clearance_weight=2.0)
 
 
 def wall_at_column(column: int, value: int = 100, width: int = 40) -> OccupancyGrid:
@@ -55,7 +55,7 @@ def test_what_counts_as_an_obstacle(value, obstacle):
 
 
 def test_unknown_may_be_allowed():
-    params = CostmapParams(allow_unknown=True)
+    params = CostmapParameters(allow_unknown=True)
     assert np.isfinite(build_costmap(wall_at_column(20, -1), LIMITS, params).cost).all()
 
 
@@ -76,4 +76,4 @@ def test_regions_do_not_join_across_a_corner():
 @pytest.mark.parametrize("wrong", [{"margin_m": -0.1}, {"inflation_m": 0}, {"occupied_percent": 101}, {"radius": 1}])
 def test_senseless_parameters_are_refused(wrong):
     with pytest.raises(ParameterError, match=next(iter(wrong))):
-        convert(wrong, CostmapParams, "robot.yaml", "costmap")
+        convert(wrong, CostmapParameters, "robot.yaml", "costmap")

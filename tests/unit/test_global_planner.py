@@ -16,12 +16,12 @@ from hitchhike_ros.geometry import compose, path_length
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.parameters import load_parameters, read_yaml
-from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.planning.overlap import common_stretch
 from hitchhike_ros.robot_model import RobotLimits
 
 LIMITS = RobotLimits(0.3, 0.1, 0.2, 0.2, 0.2, 1.0, 2.0)  # inscribed radius 0.2 m
-PARAMS = GlobalPlannerParams(margin_m=0.05)
+PARAMS = GlobalPlannerParameters(margin_m=0.05)
 
 
 def room(origin: Pose2D | None = None) -> OccupancyGrid:
@@ -156,7 +156,7 @@ def test_inflation_is_computed_once_for_a_grid_and_anew_for_another():
 def test_smoothing_shortens_and_gives_up_no_more_than_a_cell_of_clearance():
     grid = room().with_obstacles([Obstacle("box", 2.0, 0.0, 1.0, 2.5)])
     start, goal = Pose2D(0.6, 0.6), Pose2D(5.0, 0.7)
-    rough = GlobalPlanner(GlobalPlannerParams(smoothing_rounds=0), LIMITS).plan(grid, start, goal)
+    rough = GlobalPlanner(GlobalPlannerParameters(smoothing_rounds=0), LIMITS).plan(grid, start, goal)
     smooth = planner().plan(grid, start, goal)
     assert path_length(smooth) < path_length(rough)
     assert least_clearance(grid, smooth) >= max(0.25, least_clearance(grid, rough) - 0.1)
@@ -199,7 +199,7 @@ def test_the_ride_of_the_papers_first_experiment_is_as_long_as_the_papers(boxes_
     def route(robot: str, start: dict[str, float]) -> np.ndarray:
         config = package / "config" / f"{robot}.yaml"
         its = GlobalPlanner(
-            load_parameters(GlobalPlannerParams, "global_planner", config),
+            load_parameters(GlobalPlannerParameters, "global_planner", config),
             load_parameters(RobotLimits, "robot", config),
         )
         return its.plan(grid, Pose2D(**start), Pose2D(**world["robots"][robot]["goal"]))

@@ -7,8 +7,8 @@ import pytest
 
 from hitchhike_ros.datatypes import Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
-from hitchhike_ros.planning.replanner import Order, Replanner, ReplannerParams
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
+from hitchhike_ros.planning.replanner import Order, Replanner, ReplannerParameters
 from hitchhike_ros.robot_model import RobotLimits
 
 LIMITS = RobotLimits(0.3, 0.1, 0.2, 0.2, 0.2, 1.0, 2.0)
@@ -18,7 +18,7 @@ WALL = GRID.with_obstacles([Obstacle("wall", 3.0, 0.0, 0.2, 4.0)])
 
 
 def replanner() -> Replanner:
-    return Replanner(GlobalPlanner(GlobalPlannerParams(), LIMITS), ReplannerParams(retry_s=2.0, pose_age_s=1.0))
+    return Replanner(GlobalPlanner(GlobalPlannerParameters(), LIMITS), ReplannerParameters(retry_s=2.0, pose_age_s=1.0))
 
 
 def at(x: float, stamp: float = 0.0) -> PoseEstimate:

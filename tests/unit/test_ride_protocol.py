@@ -59,7 +59,7 @@ from hitchhike_ros.protocol.messages import (
     Request,
     encode,
 )
-from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import GoalCommand, KnownRobot, ModuleSwitches, Status, decode_status, encode_status
 from hitchhike_ros.protocol.traveller import Traveller
 
@@ -154,7 +154,7 @@ class World:
         self.flying: list[tuple[float, str]] = []
 
         def robot(name: str, start: Pose2D, goal: Pose2D, **params: Any) -> Robot:
-            settings = HitchhikingParams(**params)
+            settings = HitchhikingParameters(**params)
             traveller = Traveller(name, settings, SITES, corridor_path, MARKER_POSE, CAMERA, 0.3)
             traveller.step(GoalGiven(goal), self.now)
             return Robot(traveller, start)
@@ -335,7 +335,7 @@ def test_why_a_robot_goes_on_alone_stays_in_its_status() -> None:
 
 
 def _traveller(planner: Planner = corridor_path, **params: Any) -> Traveller:
-    return Traveller(RIDER, HitchhikingParams(**params), SITES, planner, MARKER_POSE, CAMERA, 0.3)
+    return Traveller(RIDER, HitchhikingParameters(**params), SITES, planner, MARKER_POSE, CAMERA, 0.3)
 
 
 def _here(now: float) -> Tick:

@@ -10,10 +10,10 @@ from simulated_room import TINY, make_world, robot
 
 from hitchhike_ros.datatypes import FloatArray
 from hitchhike_ros.errors import RobotModelError, VisionError
-from hitchhike_ros.simulation.camera import CameraParams, egl_works
+from hitchhike_ros.simulation.camera import CameraParameters, egl_works
 from hitchhike_ros.simulation.robot import SimulatedRobot
 from hitchhike_ros.simulation.tags import tag_cells
-from hitchhike_ros.simulation.world import World, WorldParams
+from hitchhike_ros.simulation.world import World, WorldParameters
 
 DETECTOR = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
 # Corners of the black square as a viewer sees them, from the top left clockwise; z up, y to the viewer's right.
@@ -41,7 +41,7 @@ def pair(folder: Path, renderer: str) -> World:
         "other": robot("p3dx", 0.3, 2.1, marker=7),
     }
     markers = [{"id": 10, "x": 6.0, "y": 2.6, "z": 0.34, "yaw": math.pi}]
-    return make_world(folder, robots, params=WorldParams(renderer=renderer), markers=markers)  # type: ignore[arg-type]
+    return make_world(folder, robots, params=WorldParameters(renderer=renderer), markers=markers)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("renderer", ["tiny", "egl"])
@@ -77,7 +77,7 @@ def test_both_renderers_see_the_same(tmp_path: Path) -> None:
 
 
 def test_calibration_is_that_of_the_picture() -> None:
-    info = CameraParams().info
+    info = CameraParameters().info
     f = 320 / math.tan(math.radians(30))
     assert (info.width, info.height) == (640, 480)
     assert np.allclose(info.K, [[f, 0, 319.5], [0, f, 239.5], [0, 0, 1]])

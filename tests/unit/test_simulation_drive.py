@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from hitchhike_ros.datatypes import Pose2D, Twist2D
 from hitchhike_ros.geometry import wrap_angle
 from hitchhike_ros.robot_model import RobotLimits
-from hitchhike_ros.simulation.drive import BaseController, DriveParams, OdometryParams, WheelOdometry, integrate_wheels
+from hitchhike_ros.simulation.drive import (
+    BaseController,
+    DriveParameters,
+    OdometryParameters,
+    WheelOdometry,
+    integrate_wheels,
+)
 
 LIMITS = RobotLimits(0.3, 0.1, 0.2, 0.2, 0.2, max_speed_mps=1.0, max_yaw_rate_rps=2.0)
 DT = 0.01
@@ -27,7 +33,9 @@ def run(base: BaseController, start: float, duration: float) -> Twist2D:
 
 
 def test_a_command_is_reached_by_a_ramp() -> None:
-    base = BaseController(LIMITS, DriveParams(max_acceleration_mps2=1.0, max_yaw_acceleration_rps2=4.0, watchdog_s=9.0))
+    base = BaseController(
+        LIMITS, DriveParameters(max_acceleration_mps2=1.0, max_yaw_acceleration_rps2=4.0, watchdog_s=9.0)
+    )
     base.command(Twist2D(0.5, -1.0), 0.0)
     assert astuple(run(base, 0.0, 0.1)) == pytest.approx((0.1, -0.4))
     assert astuple(run(base, 0.1, 0.5)) == pytest.approx((0.5, -1.0))
@@ -36,7 +44,7 @@ def test_a_command_is_reached_by_a_ramp() -> None:
 
 
 def test_without_commands_the_base_stops() -> None:
-    base = BaseController(LIMITS, DriveParams())
+    base = BaseController(LIMITS, DriveParameters())
     base.command(Twist2D(0.4, 0.5), 0.0)
     assert run(base, 0.0, 0.5).v == pytest.approx(0.4)
     assert run(base, 0.51, 0.5) == Twist2D(0.0, 0.0)
@@ -44,7 +52,7 @@ def test_without_commands_the_base_stops() -> None:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_senseless_command_stops_and_limits_hold(bad: float) -> None:
-    base = BaseController(LIMITS, DriveParams(watchdog_s=9.0))
+    base = BaseController(LIMITS, DriveParameters(watchdog_s=9.0))
     base.command(Twist2D(99.0, -99.0), 0.0)
     assert astuple(run(base, 0.0, 2.0)) == pytest.approx((1.0, -2.0))
     base.command(Twist2D(bad, 0.5), 2.0)
@@ -75,7 +83,7 @@ def test_driving_back_returns(start: Pose2D, left: float, right: float) -> None:
     assert (back.x, back.y) == pytest.approx((start.x, start.y), abs=1e-9)
 
 
-def drive_straight(params: OdometryParams, seed: int = 0, metres: float = 10.0) -> WheelOdometry:
+def drive_straight(params: OdometryParameters, seed: int = 0, metres: float = 10.0) -> WheelOdometry:
     encoders = WheelOdometry(LIMITS, params, np.random.default_rng(seed))
     for i in range(1, 601):
         encoders.update(i / 60, np.full(2, metres * i / 600 / LIMITS.wheel_radius_m))
@@ -83,7 +91,7 @@ def drive_straight(params: OdometryParams, seed: int = 0, metres: float = 10.0) 
 
 
 def test_perfect_encoders_measure_to_a_tick() -> None:
-    odometry = drive_straight(OdometryParams(2000.0, 0.0, 0.0)).odometry
+    odometry = drive_straight(OdometryParameters(2000.0, 0.0, 0.0)).odometry
     tick = 2 * math.pi * LIMITS.wheel_radius_m / 2000
     assert (odometry.pose.x, odometry.pose.y) == pytest.approx((10.0, 0.0), abs=1.01 * tick)
     assert odometry.stamp == 10.0
@@ -92,7 +100,7 @@ def test_perfect_encoders_measure_to_a_tick() -> None:
 
 def test_imperfect_encoders_drift_as_much_as_they_should() -> None:
     """Heading after d metres: both wheels' slip and radius errors over the wheel separation."""
-    params = OdometryParams(1e6, 0.001, 0.002)
+    params = OdometryParameters(1e6, 0.001, 0.002)
     headings = [drive_straight(params, seed).odometry.pose.theta for seed in range(40)]
     expected = math.sqrt(2 * (0.001 * 10.0) ** 2 + 2 * 0.002**2 * 10.0) / LIMITS.wheel_separation_m
     assert 0.7 * expected < np.std(headings) < 1.4 * expected

@@ -12,7 +12,7 @@ from hitchhike_ros.errors import WorldFileError
 from hitchhike_ros.geometry import distance, pose_from_matrix, transform_points
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.robot_model import mount
-from hitchhike_ros.simulation.laser import LaserParams, measure
+from hitchhike_ros.simulation.laser import LaserParameters, measure
 from hitchhike_ros.simulation.world import World
 from hitchhike_ros.simulation.world_file import Box
 
@@ -96,7 +96,7 @@ def test_nothing_in_reach_is_plus_infinity(model: str, tmp_path: Path) -> None:
 
 
 def test_readings_are_rep_117() -> None:
-    params = LaserParams()
+    params = LaserParameters()
     true = np.array([0.001, 0.5, 7.0, 8.5, np.inf])
     readings = measure(np.tile(true, (200, 1)), params, np.random.default_rng(0))
     assert np.isneginf(readings[:, 0]).mean() > 0.9

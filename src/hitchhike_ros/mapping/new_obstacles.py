@@ -29,17 +29,18 @@ class MappingParameters:
 
     laser: LaserNoise = field(default_factory=LaserNoise)
     cell_m: Positive = 0.02
-    max_range_m: Positive = 4.0  # beyond, noise blurs a box by more than its bound
+    max_range_m: Positive = 5.0  # far enough to see a box for min_age_s when passing it at 1 m/s
     wall_margin_m: Positive = 0.12  # nearer to a wall of the map an end point is that wall
     robot_margin_m: NonNegative = 0.15  # around a known robot: its pose and the ranges have errors
     margin_sigmas: NonNegative = 2.5  # of the range, beside the margin
     reference_sigma_m: Positive = 0.015  # a beam with this noise or less counts fully
     max_score: Positive = 10.0  # so many beams through a cell remove it, however long it stood there
     min_scans: int = 8
-    min_age_s: Positive = 1.5
+    min_age_s: Positive = 3.6  # longer than a person who stops for three seconds covers a cell
     min_view_gap_m: Positive = 0.5
     min_cells: int = 4  # that fulfil all three
     merge_gap_m: Positive = 0.10
+    hysteresis_m: NonNegative = 0.021  # of a side: a change by one cell is noise
     trim: NonNegative = 0.02  # share of the evidence beyond each side of a box
     max_pose_sigma_m: Positive = 0.15  # with a worse pose nothing is mapped
     max_heading_sigma_rad: Positive = 0.07
@@ -92,7 +93,10 @@ class NewObstacleMapper:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """The boxes in ``map``, in the order in which they were found; a box keeps its id while it is refined."""
+        """The boxes in ``map``, in the order in which they were found; a box keeps its id while it is refined.
+
+        The same tuple until a box comes, goes or changes by more than noise.
+        """
         return self._boxes
 
     def update(
@@ -210,10 +214,12 @@ class NewObstacleMapper:
                 boxes[given.id] = given
                 continue
             name = known[0].id if known else self._new_name()
-            boxes[name] = Obstacle(name, box.x, box.y, box.w, box.b)
+            steady = bool(known) and _change(known[0], box) <= p.hysteresis_m
+            boxes[name] = known[0] if steady else Obstacle(name, box.x, box.y, box.w, box.b)
         self._given = {name: box for name, box in self._given.items() if boxes.get(name) is box}
         order = {box.id: k for k, box in enumerate(self._boxes)}
-        self._boxes = tuple(sorted(boxes.values(), key=lambda box: order.get(box.id, len(order))))
+        found = tuple(sorted(boxes.values(), key=lambda box: order.get(box.id, len(order))))
+        self._boxes = self._boxes if found == self._boxes else found
 
     def _clusters(self, centres: FloatArray) -> list[npt.NDArray[np.int64]]:
         """Rows of the cells (K, 2) of each cluster; clusters are further apart than the gap that is bridged."""
@@ -279,3 +285,8 @@ def _centre(box: Obstacle) -> Pose2D:
 def _touch(a: Obstacle, b: Obstacle, gap_m: float) -> bool:
     """Whether two boxes overlap or are no further apart than the gap."""
     return max(a.x, b.x) <= min(a.x + a.w, b.x + b.w) + gap_m and max(a.y, b.y) <= min(a.y + a.b, b.y + b.b) + gap_m
+
+
+def _change(a: Obstacle, b: Obstacle) -> float:
+    """By how much in m the side that differs most differs."""
+    return max(abs(a.x - b.x), abs(a.y - b.y), abs(a.x + a.w - b.x - b.w), abs(a.y + a.b - b.y - b.b))

@@ -16,12 +16,12 @@ Published:
     initialpose (geometry_msgs/PoseWithCovarianceStamped): the pose taken over from a driver
     /diagnostics (diagnostic_msgs/DiagnosticArray)
 Parameters:
-    ~config (path), sections ``hitchhiking`` (protocol.parameters.HitchhikingParams) and ``robot``
+    ~config (path), sections ``hitchhiking`` (protocol.parameters.HitchhikingParameters) and ``robot``
     ~urdf (path): mounts of camera and marker
     ~world (path): markers and hitchhiking points
     ~robot_id (string, default: the namespace)
     ~rate (Hz, 10): steps of the machines
-    and every field of HitchhikingParams, e.g. ~profile (0-100), ~priority (0-20), ~max_wait_s
+    and every field of HitchhikingParameters, e.g. ~profile (0-100), ~priority (0-20), ~max_wait_s
 TF: none.
 """
 
@@ -47,7 +47,7 @@ from hitchhike_ros.errors import MessageError, PlanningError, SensorDataError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import load_sites
-from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
     Award,
@@ -65,7 +65,7 @@ from hitchhike_ros.protocol.machine import (
 )
 from hitchhike_ros.protocol.messages import NewObstacles, encode
 from hitchhike_ros.protocol.observations import decode_observations
-from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status, encode_status
 from hitchhike_ros.protocol.traveller import Traveller
 from hitchhike_ros.robot_model import RobotLimits, mount
@@ -89,9 +89,9 @@ class HitchhikeComm:
     """Stores what arrives; one timer steps the traveller and carries out what it wants."""
 
     def __init__(self) -> None:
-        params = node_parameters(HitchhikingParams, "hitchhiking")
+        params = node_parameters(HitchhikingParameters, "hitchhiking")
         limits = node_parameters(RobotLimits, "robot")
-        self._planner = GlobalPlanner(node_parameters(GlobalPlannerParams, "global_planner"), limits)
+        self._planner = GlobalPlanner(node_parameters(GlobalPlannerParameters, "global_planner"), limits)
         urdf = path_parameter("urdf")
         camera = pose_from_matrix(mount(urdf, "camera"))
         robot_id = str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))

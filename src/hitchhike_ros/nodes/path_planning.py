@@ -15,8 +15,8 @@ Services:
     make_plan (nav_msgs/GetPlan): as of move_base: an empty path when there is none; start without a frame means from
         the robot; a goal that is occupied is moved by up to ``tolerance``. Refused while the module is off.
 Parameters:
-    ~config (path), sections ``global_planner`` (planning.global_planner.GlobalPlannerParams), ``path_planning``
-        (planning.replanner.ReplannerParams) and ``robot``
+    ~config (path), sections ``global_planner`` (planning.global_planner.GlobalPlannerParameters), ``path_planning``
+        (planning.replanner.ReplannerParameters) and ``robot``
     ~always_on (bool, false): on without anyone's status, for make_plan alone
     ~rate (Hz, 10): how often what arrived is looked at
 TF: none.
@@ -40,8 +40,8 @@ from hitchhike_ros.datatypes import Pose2D, PoseEstimate
 from hitchhike_ros.errors import OutsideMapError, PlanningError
 from hitchhike_ros.geometry import path_length
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
-from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParams
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
+from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParameters
 from hitchhike_ros.protocol.machine import NavigationReport
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.robot_model import RobotLimits
@@ -57,8 +57,8 @@ class PathPlanning:
 
     def __init__(self) -> None:
         limits = node_parameters(RobotLimits, "robot")
-        self._planner = GlobalPlanner(node_parameters(GlobalPlannerParams, "global_planner"), limits)
-        self._replanner_params = node_parameters(ReplannerParams, "path_planning")
+        self._planner = GlobalPlanner(node_parameters(GlobalPlannerParameters, "global_planner"), limits)
+        self._replanner_params = node_parameters(ReplannerParameters, "path_planning")
         self._period = rospy.Duration(1.0 / float(rospy.get_param("~rate", 10.0)))
         self._lock = threading.RLock()
         self._forget()

@@ -109,7 +109,7 @@ _ESSENTIAL = frozenset(
 
 
 @dataclass(frozen=True)
-class RideMonitorParams:
+class RideMonitorParameters:
     """Private parameters of the node."""
 
     deadline_s: Positive = 900.0
@@ -121,7 +121,7 @@ class RideMonitor:
     """Callbacks record under a lock; :meth:`watch` does the rest."""
 
     def __init__(self) -> None:
-        self._params = node_parameters(RideMonitorParams, "ride_monitor")
+        self._params = node_parameters(RideMonitorParameters, "ride_monitor")
         self._world = load_world(path_parameter("world"))
         self._output = _output_folder()
         seed = int(rospy.get_param("/simulator/seed", 0))

@@ -29,7 +29,7 @@ Parameters:
     ~seed (int, 0): of all noise
     ~lockstep (bool, default: ``/lockstep``, else false)
     ~package (path, default: this package): folder with urdf/<model>.urdf and config/<model>.yaml
-    the fields of SimulatorParams and of simulation.world.WorldParams, with their defaults
+    the fields of SimulatorParameters and of simulation.world.WorldParameters, with their defaults
 TF: odom -> base_footprint of every robot, with the robot's name before both.
 """
 
@@ -75,7 +75,7 @@ from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 from hitchhike_ros.simulation.lockstep import IMAGE, SCAN, Lockstep
 from hitchhike_ros.simulation.robot import SimulatedRobot
-from hitchhike_ros.simulation.world import World, WorldParams
+from hitchhike_ros.simulation.world import World, WorldParameters
 from hitchhike_ros.simulation.world_file import Box
 
 Rate = Annotated[int, msgspec.Meta(ge=1)]
@@ -83,7 +83,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class SimulatorParams:
+class SimulatorParameters:
     """Rates in simulated time. ``clock_rate_hz`` divides the physics rate and is a multiple of the others.
 
     ``max_real_time_factor`` 0 is as fast as possible. The last three are wall time: how long lock-step waits for a
@@ -175,8 +175,8 @@ class Simulator:
     """Owns the world. :meth:`spin` alone touches it, so that callbacks and services only leave orders."""
 
     def __init__(self) -> None:
-        self._params = node_parameters(SimulatorParams, "simulator")
-        world_params = node_parameters(WorldParams, "simulator")
+        self._params = node_parameters(SimulatorParameters, "simulator")
+        world_params = node_parameters(WorldParameters, "simulator")
         self._steps = _ratio("clock_rate_hz", world_params.physics_rate_hz, self._params.clock_rate_hz)
         self._every = {
             name: _ratio(name, self._params.clock_rate_hz, getattr(self._params, name))

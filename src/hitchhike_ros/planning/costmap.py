@@ -18,7 +18,7 @@ from hitchhike_ros.robot_model import RobotLimits
 
 
 @dataclass(frozen=True)
-class CostmapParams:
+class CostmapParameters:
     """Section ``costmap``. The papers name no inflation; all values are chosen."""
 
     # Free room beyond the inscribed circle of the footprint; cells with less are forbidden.
@@ -53,7 +53,7 @@ class Costmap:
         return label_regions(self.cost)
 
 
-def build_costmap(grid: OccupancyGrid, limits: RobotLimits, params: CostmapParams) -> Costmap:
+def build_costmap(grid: OccupancyGrid, limits: RobotLimits, params: CostmapParameters) -> Costmap:
     """Inflate the obstacles of ``grid`` for a robot.
 
     With clearance d, a cell is forbidden where d < inscribed radius + margin and else costs

@@ -12,12 +12,12 @@ from hitchhike_ros.datatypes import FloatArray, Pose2D
 from hitchhike_ros.errors import GoalBlockedError, OutsideMapError, StartBlockedError, UnreachableError
 from hitchhike_ros.mapping.grid import CellArray, OccupancyGrid
 from hitchhike_ros.planning.astar import Cell, CostArray, search
-from hitchhike_ros.planning.costmap import Costmap, CostmapParams, build_costmap, label_regions
+from hitchhike_ros.planning.costmap import Costmap, CostmapParameters, build_costmap, label_regions
 from hitchhike_ros.robot_model import RobotLimits
 
 
 @dataclass(frozen=True)
-class GlobalPlannerParams(CostmapParams):
+class GlobalPlannerParameters(CostmapParameters):
     """Section ``global_planner``, inflation included; all values are chosen."""
 
     # Bends shorter than about its square root, in cells, are rounded off.
@@ -27,7 +27,7 @@ class GlobalPlannerParams(CostmapParams):
 class GlobalPlanner:
     """Plans on one grid after another and keeps the inflation of the last one."""
 
-    def __init__(self, params: GlobalPlannerParams, limits: RobotLimits) -> None:
+    def __init__(self, params: GlobalPlannerParameters, limits: RobotLimits) -> None:
         self._params, self._limits = params, limits
         self._costmap: Costmap | None = None
 
@@ -114,7 +114,7 @@ def _open_way_out(costmap: Costmap, start: Cell) -> CostArray:
     return cost
 
 
-def _smooth(cells: CellArray, costmap: Costmap, params: GlobalPlannerParams) -> FloatArray:
+def _smooth(cells: CellArray, costmap: Costmap, params: GlobalPlannerParameters) -> FloatArray:
     """The path (N, 2) through ``cells`` (N, 2), in fractions of cells, with its bends rounded off.
 
     Each point moves towards the middle of its neighbours as long as it stays in a passable cell and loses no more than

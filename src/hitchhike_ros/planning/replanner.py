@@ -14,7 +14,7 @@ from hitchhike_ros.planning.global_planner import GlobalPlanner
 
 
 @dataclass(frozen=True)
-class ReplannerParams:
+class ReplannerParameters:
     """Section ``path_planning``; all values are chosen."""
 
     # Least time between two plans of the same order on the same map, after a failure or while the way is blocked.
@@ -44,7 +44,7 @@ class Plan:
 class Replanner:
     """Keeps the plan of the newest order up to date."""
 
-    def __init__(self, planner: GlobalPlanner, params: ReplannerParams) -> None:
+    def __init__(self, planner: GlobalPlanner, params: ReplannerParameters) -> None:
         self._planner, self._params = planner, params
         self._plan, self._planned_at = Plan(), 0.0
         self._grid: OccupancyGrid | None = None

@@ -39,7 +39,7 @@ from hitchhike_ros.protocol.messages import (
     Terminate,
     covariance_rows,
 )
-from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParams
+from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatus, ServoCommand
 
 INVALID_PLACE = "Invalid HH place"
@@ -134,7 +134,7 @@ class DriverMachine(Machine[DriverState]):
     )
 
     def __init__(
-        self, robot_id: str, params: HitchhikingParams, sites: Sites, planner: Planner, marker_pose: Pose2D
+        self, robot_id: str, params: HitchhikingParameters, sites: Sites, planner: Planner, marker_pose: Pose2D
     ) -> None:
         super().__init__(S.IDLE, params)
         self.robot_id = robot_id

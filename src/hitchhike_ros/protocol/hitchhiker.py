@@ -35,7 +35,7 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
-from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import ModuleSwitches, RideStatus, ServoCommand
 
 DRIVER_NOT_FOUND = "Driver not found"
@@ -111,7 +111,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Timeout(S.RELOCALIZING, "localize_timeout_s", "_give_up_localizing", (S.IDLE,)),
     )
 
-    def __init__(self, robot_id: str, params: HitchhikingParams, camera: tuple[float, float]) -> None:
+    def __init__(self, robot_id: str, params: HitchhikingParameters, camera: tuple[float, float]) -> None:
         super().__init__(S.IDLE, params)
         self.robot_id = robot_id
         self.params = params

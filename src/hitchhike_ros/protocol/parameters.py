@@ -12,7 +12,7 @@ TIME_CRITICAL_PRIORITY = 16  # P18 §2.1: 16-20 neither gives nor takes a ride
 
 
 @dataclass(frozen=True)
-class HitchhikingParams:
+class HitchhikingParameters:
     """What one robot offers, asks for and waits for. Values without a symbol of the papers are chosen."""
 
     profile: Profile = 50.0  # P, score of sensors, odometry and SLAM

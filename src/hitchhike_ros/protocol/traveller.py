@@ -10,7 +10,7 @@ from hitchhike_ros.protocol.driver import DriverMachine, Planner
 from hitchhike_ros.protocol.hitchhiker import HitchhikerMachine, HitchhikerState
 from hitchhike_ros.protocol.machine import Effect, GoalCancelled, GoalGiven, Send, Situation, Tick
 from hitchhike_ros.protocol.messages import Beacon, Message, PoseFields
-from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParams
+from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
 from hitchhike_ros.protocol.status import KnownRobot, Status
 
 # Radius of a robot whose beacon has not been heard yet (chosen).
@@ -26,7 +26,7 @@ class Traveller:
     def __init__(
         self,
         robot_id: str,
-        params: HitchhikingParams,
+        params: HitchhikingParameters,
         sites: Sites,
         planner: Planner,
         marker_pose: Pose2D,

@@ -28,7 +28,7 @@ _NEAR_M, _FAR_M = 0.12, 60.0
 
 
 @dataclass(frozen=True)
-class CameraParams:
+class CameraParameters:
     """Section ``simulated_camera``: an ideal pinhole camera."""
 
     width: int = 640
@@ -44,7 +44,7 @@ class CameraParams:
 
 
 @dataclass(frozen=True)
-class DepthCameraParams(CameraParams):
+class DepthCameraParameters(CameraParameters):
     """Section ``simulated_depth_camera``: Kinect. Noise grows with the square of the depth; limits and noise chosen."""
 
     width: int = 320
@@ -58,7 +58,7 @@ class DepthCameraParams(CameraParams):
 class Camera:
     """Renders one robot's view of the world of one pybullet client."""
 
-    def __init__(self, params: CameraParams, renderer: int) -> None:
+    def __init__(self, params: CameraParameters, renderer: int) -> None:
         self.info = params.info
         self._renderer, self._flags = renderer, int(p.ER_NO_SEGMENTATION_MASK)
         if renderer == p.ER_BULLET_HARDWARE_OPENGL:
@@ -115,7 +115,7 @@ class Camera:
 class DepthCamera(Camera):
     """A depth camera with its own noise stream."""
 
-    def __init__(self, params: DepthCameraParams, renderer: int, rng: np.random.Generator) -> None:
+    def __init__(self, params: DepthCameraParameters, renderer: int, rng: np.random.Generator) -> None:
         super().__init__(params, renderer)
         self._params, self._rng = params, rng
 

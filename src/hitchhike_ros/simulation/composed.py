@@ -22,8 +22,8 @@ from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.parameters import load_parameters
-from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParams
-from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParams
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
+from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParameters
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
     Award,
@@ -38,7 +38,7 @@ from hitchhike_ros.protocol.machine import (
     stamped,
 )
 from hitchhike_ros.protocol.messages import encode
-from hitchhike_ros.protocol.parameters import HitchhikingParams
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.protocol.traveller import Traveller
 from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
@@ -65,15 +65,15 @@ class ComposedRobot:
             grid, sites.markers, load_parameters(LocalizerParameters, "localization", config), self._T_base_laser
         )
         self.mapper = NewObstacleMapper(grid, load_parameters(MappingParameters, "mapping", config))
-        self._planner = GlobalPlanner(load_parameters(GlobalPlannerParams, "global_planner", config), self.limits)
-        self._replanner = Replanner(self._planner, load_parameters(ReplannerParams, "path_planning", config))
+        self._planner = GlobalPlanner(load_parameters(GlobalPlannerParameters, "global_planner", config), self.limits)
+        self._replanner = Replanner(self._planner, load_parameters(ReplannerParameters, "path_planning", config))
         avoidance = load_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance", config)
         self._avoidance = ObstacleAvoidance(self.limits, avoidance)
         self._mux = VelocityMux(load_parameters(VelocityMuxParameters, "velocity_mux", config), self.limits)
         self._detector = MarkerDetector(load_parameters(MarkerDetectorParameters, "marker_detector", config))
         camera = pose_from_matrix(mounts["camera"])
         self._follow = FollowLaw(load_parameters(FollowParameters, "follow", config), self.limits, camera.x)
-        params = load_parameters(HitchhikingParams, "hitchhiking", config)
+        params = load_parameters(HitchhikingParameters, "hitchhiking", config)
         self.traveller = Traveller(
             self.name,
             params,

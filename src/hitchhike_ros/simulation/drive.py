@@ -13,7 +13,7 @@ from hitchhike_ros.robot_model import RobotLimits
 
 
 @dataclass(frozen=True)
-class DriveParams:
+class DriveParameters:
     """Section ``simulated_drive``: the base's own controller. Its accelerations are above what velocity_mux asks for,
     so that the base follows; all values are chosen."""
 
@@ -24,7 +24,7 @@ class DriveParams:
 
 
 @dataclass(frozen=True)
-class OdometryParams:
+class OdometryParameters:
     """Section ``simulated_odometry``: the encoders' imperfection; all values but the ticks are chosen.
 
     Each wheel's radius differs from the nominal one by a factor drawn once a run, and each stretch of d metres has slip
@@ -39,7 +39,7 @@ class OdometryParams:
 class BaseController:
     """Turns commands into a ramped twist; stops when none came for ``watchdog_s``."""
 
-    def __init__(self, limits: RobotLimits, params: DriveParams) -> None:
+    def __init__(self, limits: RobotLimits, params: DriveParameters) -> None:
         self._limits, self._params = limits, params
         self._target, self._deadline = Twist2D(), -math.inf
         self.twist = Twist2D()
@@ -72,7 +72,7 @@ class WheelOdometry:
     """Dead reckoning from the angles of both wheels (P18 Eqs. 1–6)."""
 
     def __init__(
-        self, limits: RobotLimits, params: OdometryParams, rng: np.random.Generator, start_s: float = 0.0
+        self, limits: RobotLimits, params: OdometryParameters, rng: np.random.Generator, start_s: float = 0.0
     ) -> None:
         self._limits, self._params, self._rng = limits, params, rng
         self._scale = 1.0 + params.radius_error_sigma * rng.standard_normal(2)

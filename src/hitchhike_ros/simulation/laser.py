@@ -12,7 +12,7 @@ from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Positive
 
 
 @dataclass(frozen=True)
-class LaserParams:
+class LaserParameters:
     """Section ``simulated_laser``: Hokuyo UHG-08LX.
 
     P18 §8.3 gives bounds: ± 30 mm to 1 m, 3 % of the range to 8 m. They are read as three standard deviations, and no
@@ -35,7 +35,7 @@ class LaserParams:
 class Laser:
     """One robot's laser, with its own noise stream."""
 
-    def __init__(self, params: LaserParams, rng: np.random.Generator) -> None:
+    def __init__(self, params: LaserParameters, rng: np.random.Generator) -> None:
         self._params, self._rng = params, rng
         angles = params.angle_min_rad + params.angle_increment_rad * np.arange(params.beams)
         self._directions = np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])
@@ -55,7 +55,7 @@ class Laser:
         )
 
 
-def measure(true: FloatArray, params: LaserParams, rng: np.random.Generator) -> FloatArray:
+def measure(true: FloatArray, params: LaserParameters, rng: np.random.Generator) -> FloatArray:
     """Readings (N,) of true distances (N,) in m, inf for none: noise within the bounds, then REP 117's infinities."""
     noise = np.clip(rng.standard_normal(true.shape) / 3.0, -1.0, 1.0)
     hit = np.isfinite(true)

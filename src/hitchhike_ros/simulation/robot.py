@@ -19,9 +19,9 @@ from hitchhike_ros.errors import RobotModelError
 from hitchhike_ros.geometry import matrix_from_xyz_rpy, pose_from_matrix
 from hitchhike_ros.parameters import load_parameters
 from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
-from hitchhike_ros.simulation.camera import Camera, CameraParams, DepthCamera, DepthCameraParams
-from hitchhike_ros.simulation.drive import BaseController, DriveParams, OdometryParams, WheelOdometry
-from hitchhike_ros.simulation.laser import Laser, LaserParams
+from hitchhike_ros.simulation.camera import Camera, CameraParameters, DepthCamera, DepthCameraParameters
+from hitchhike_ros.simulation.drive import BaseController, DriveParameters, OdometryParameters, WheelOdometry
+from hitchhike_ros.simulation.laser import Laser, LaserParameters
 from hitchhike_ros.simulation.tags import write_tag
 from hitchhike_ros.simulation.world_file import RobotEntry
 
@@ -76,11 +76,11 @@ class SimulatedRobot:
         urdf, config = robot_files(entry.model, package)
         self.name, self.entry, self.limits = name, entry, load_parameters(RobotLimits, "robot", config)
         self._engine, self._client = engine, engine.client
-        self._drive_params = load_parameters(DriveParams, "simulated_drive", config)
-        self._odometry_params = load_parameters(OdometryParams, "simulated_odometry", config)
-        self._laser_params = load_parameters(LaserParams, "simulated_laser", config)
-        self._camera_params = load_parameters(CameraParams, "simulated_camera", config)
-        self._depth_params = load_parameters(DepthCameraParams, "simulated_depth_camera", config)
+        self._drive_params = load_parameters(DriveParameters, "simulated_drive", config)
+        self._odometry_params = load_parameters(OdometryParameters, "simulated_odometry", config)
+        self._laser_params = load_parameters(LaserParameters, "simulated_laser", config)
+        self._camera_params = load_parameters(CameraParameters, "simulated_camera", config)
+        self._depth_params = load_parameters(DepthCameraParameters, "simulated_depth_camera", config)
 
         mounts = fixed_transforms(urdf)
         for link in ("base_link", "laser", "camera_optical", "marker"):

@@ -45,7 +45,7 @@ _BOARD_M = 0.005
 
 
 @dataclass(frozen=True)
-class WorldParams:
+class WorldParameters:
     """Section ``simulator``. A physics step is 1 / ``physics_rate_hz``; encoders are read every ``encoder_steps``."""
 
     physics_rate_hz: Annotated[int, msgspec.Meta(ge=60)] = 240
@@ -70,7 +70,7 @@ class World:
         self,
         world_file: WorldFile | Path | str,
         seed: int = 0,
-        params: WorldParams | None = None,
+        params: WorldParameters | None = None,
         *,
         package: Path | str,
     ) -> None:
@@ -80,7 +80,7 @@ class World:
             WorldFileError, MapFileError, RobotModelError, ParameterError: a file cannot be used.
         """
         self.file = world_file if isinstance(world_file, WorldFile) else load_world(world_file)
-        self.params = params or WorldParams()
+        self.params = params or WorldParameters()
         self.grid = load_map(self.file.map)
         self.dt = 1.0 / self.params.physics_rate_hz
         self._steps = 0
