@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -47,16 +48,18 @@ def ride(
     seed: int = 0,
     ratio: float = 0.01,
     pose_sigma: float = 0.0,
+    heading_sigma: float | None = None,
     ignore: Callable[[float], list[tuple[Pose2D, float]]] = lambda _: [],
 ) -> NewObstacleMapper:
     """Drive at 0.5 m/s among things that may change with time."""
     rng, walls = np.random.default_rng(seed), walls_of(grid)
     mapper = mapper or NewObstacleMapper(grid, MappingParameters(laser=LaserNoise(ratio, ratio)))
     error = np.zeros(3)
+    sigmas = [pose_sigma, pose_sigma, 0.2 * pose_sigma if heading_sigma is None else heading_sigma]
     for truth, odometry in drive(route, 0.5, rng):
         t = odometry.stamp
         scan = take_scan(truth, np.vstack([walls, boxes_of(things(t))]), rng, t, beams=513, ratio=ratio)
-        error = 0.95 * error + 0.31 * rng.normal(0.0, 1.0, 3) * [pose_sigma, pose_sigma, 0.2 * pose_sigma]
+        error = 0.95 * error + 0.31 * rng.normal(0.0, 1.0, 3) * sigmas
         pose = Pose2D(truth.x + error[0], truth.y + error[1], truth.theta + error[2])
         assert mapper.update(scan, PoseEstimate(t, pose, GOOD), LASER, ignore(t))
     return mapper
@@ -101,6 +104,56 @@ def test_boxes_keep_their_ids_while_they_are_refined(grid):
 def test_people_who_walk_leave_nothing(grid, walk):
     mapper = ride(grid, [(7.0, 5.5), (12.5, 5.5)], lambda t: [walk(t)] if t < 8.0 else [])
     assert mapper.obstacles == ()
+
+
+@pytest.mark.parametrize("arrival", [0.0, 2.0, 5.0])
+def test_who_stops_for_three_seconds_is_never_a_box(grid, arrival):
+    mapper, told = NewObstacleMapper(grid, MappingParameters()), set()
+
+    def things(t: float) -> list[Obstacle]:
+        told.update(mapper.obstacles)
+        return [person(10.5 + max(arrival - t, 0.0) - max(t - arrival - 3.0, 0.0), 6.3)]
+
+    ride(grid, [(7.0, 5.5), (12.5, 5.5)], things, mapper, pose_sigma=0.01)
+    assert not told
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_walls_frames_and_pillars_are_no_boxes_though_the_pose_is_off(grid, seed):
+    """By 3 cm and more than a degree, while the filter believes in 1 cm."""
+    mapper, told = NewObstacleMapper(grid, MappingParameters()), set()
+
+    def things(_: float) -> list[Obstacle]:
+        told.update(mapper.obstacles)
+        return []
+
+    lobby_and_corridor = [(2.2, 1.8), (3.0, 3.5), (3.0, 5.2), (4.5, 5.7), (9.0, 5.7), (14.0, 5.7)]
+    ride(grid, lobby_and_corridor, things, mapper, seed=seed, pose_sigma=0.03, heading_sigma=0.02)
+    assert not told
+
+
+def test_noise_is_not_told(grid):
+    """Driving up to the boxes and past them changes each a few times; between that it is the same tuple."""
+    mapper = NewObstacleMapper(grid, MappingParameters())
+    versions: list[tuple[Obstacle, ...]] = []
+
+    def things(_: float) -> tuple[Obstacle, ...]:
+        if not versions or mapper.obstacles is not versions[-1]:
+            versions.append(mapper.obstacles)
+        return BOXES
+
+    ride(grid, PAST_ALL, things, mapper, pose_sigma=0.01)
+    assert 3 < len(versions) < 40
+    assert all(before != after for before, after in itertools.pairwise(versions))
+
+
+def test_boxes_are_found_at_a_metre_a_second_too(grid):
+    walls, rng = np.vstack([walls_of(grid), boxes_of(BOXES)]), np.random.default_rng(4)
+    mapper = NewObstacleMapper(grid, MappingParameters())
+    for truth, odometry in drive([(4.0, 5.6), *PAST_ALL], 1.0, rng):
+        scan = take_scan(truth, walls, rng, odometry.stamp, beams=513)
+        mapper.update(scan, PoseEstimate(odometry.stamp, truth, GOOD), LASER)
+    assert worst(mapper.obstacles, BOXES) < 0.08
 
 
 def test_who_stood_still_for_long_is_removed_when_gone(grid):

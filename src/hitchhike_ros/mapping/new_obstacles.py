@@ -214,7 +214,8 @@ class NewObstacleMapper:
                 boxes[given.id] = given
                 continue
             name = known[0].id if known else self._new_name()
-            steady = bool(known) and _change(known[0], box) <= p.hysteresis_m
+            mine = bool(known) and known[0].id not in self._given
+            steady = mine and _change(known[0], box) <= p.hysteresis_m
             boxes[name] = known[0] if steady else Obstacle(name, box.x, box.y, box.w, box.b)
         self._given = {name: box for name, box in self._given.items() if boxes.get(name) is box}
         order = {box.id: k for k, box in enumerate(self._boxes)}
