@@ -1,0 +1,39 @@
+"""What every benchmark takes and gives; one module ``bench_<name>`` each, found by its name."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from hitchhike_ros.experiments.figures import Figure
+
+# Says what is being done, and how far: step, done, of so many.
+Progress = Callable[[str, int, int], None]
+
+NAMES: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line says. ``package`` and ``data`` are folders; data that is missing is left out and said."""
+
+    package: Path
+    data: Path
+    output: Path
+    seed: int = 0
+    quick: bool = False
+
+
+class Benchmark(Protocol):
+    """A module with this function."""
+
+    def run(self, options: Options, progress: Progress) -> Sequence[Figure]:
+        """Measure; pictures go to ``options.output``."""
+
+
+def load(name: str) -> Benchmark:
+    """The module of one of ``NAMES``."""
+    return importlib.import_module(f"hitchhike_ros.experiments.bench_{name}")  # type: ignore[return-value]
