@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -65,6 +66,33 @@ def violations(source: str, package: str) -> list[str]:
 def test_imports_point_downward(path: Path) -> None:
     package = ".".join(path.parent.relative_to(PACKAGE.parent).parts)
     assert violations(path.read_text(encoding="utf-8"), package) == []
+
+
+def reached(module: str) -> set[str]:
+    """Modules of the package that importing ``module`` (a dotted name in it) imports, itself included."""
+    found, waiting = set(), [module]
+    while waiting:
+        name = waiting.pop()
+        path = PACKAGE.joinpath(*name.split(".")[1:]).with_suffix(".py")
+        if name in found or not path.is_file():
+            continue
+        found.add(name)
+        imports = imported(path.read_text(encoding="utf-8"), name.rpartition(".")[0])
+        waiting += [
+            prefix for full in imports for prefix in (full, full.rpartition(".")[0]) if folder(full) is not None
+        ]
+    return found
+
+
+def test_a_robot_needs_no_simulation() -> None:
+    launch = ElementTree.parse(PACKAGE.parents[1] / "launch_scripts" / "robot.launch")
+    nodes = [node.get("type", "") for node in launch.iter("node") if node.get("pkg") == "hitchhike_ros"]
+    assert len(nodes) >= 7
+    for node in nodes:
+        modules = reached(f"hitchhike_ros.nodes.{node}")
+        assert modules, node
+        assert [name for name in modules if folder(name) == "simulation"] == [], node
+    assert "hitchhike_ros.simulation.world" in reached("hitchhike_ros.nodes.simulator")
 
 
 def test_every_folder_has_a_layer() -> None:
