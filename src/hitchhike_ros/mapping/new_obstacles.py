@@ -245,7 +245,8 @@ class NewObstacleMapper:
             # Centres, not edges, of the cells: noise leaves marks on both sides of a face.
             sides.append((float(values[order[low]]), float(values[order[min(high, len(order) - 1)]])))
         (x1, x2), (y1, y2) = sides
-        return Obstacle("", x1, y1, x2 - x1, y2 - y1)
+        # To a tenth of a millimetre, as messages are for people too.
+        return Obstacle("", *(round(value, 4) for value in (x1, y1, x2 - x1, y2 - y1)))
 
     def _weight(self, sigma: FloatArray) -> FloatArray:
         return np.minimum(1.0, (self._parameters.reference_sigma_m / sigma) ** 2)
