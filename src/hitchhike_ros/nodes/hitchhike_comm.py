@@ -223,8 +223,9 @@ class HitchhikeComm:
         servo = self._traveller.status(now).servo
         seen = next((o for o in observations if servo is not None and o.marker_id == servo.marker_id), None)
         with self._lock:
-            odom_pose = None if seen is None else self._odometry.at(seen.stamp)
-        tick = Tick(replace(situation, estimate=estimate, observation=seen, odom_pose=odom_pose))
+            seen_from = None if seen is None else self._odometry.at(seen.stamp)
+            odom_pose = self._odometry.at(now)
+        tick = Tick(replace(situation, estimate=estimate, observation=seen, seen_from=seen_from, odom_pose=odom_pose))
         for event in [*events, tick]:
             for effect in self._traveller.step(event, now):
                 self._carry_out(effect, now)

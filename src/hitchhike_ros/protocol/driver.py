@@ -59,6 +59,8 @@ ASKED_ANEW = "Hitchhiker asks anew"
 
 # The driver aligns this well, so that the hitchhiker finds the marker in front of it (chosen).
 _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD = 0.08, 0.06
+# Where exactly a ride ends does not matter, but a driver that turned for the last centimetres would lose its rider.
+_RIDE_TOLERANCE_M = 0.25
 # Steps of the driver's own pose that count as metres ridden: noise of a standing robot does not.
 _ODOMETER_STEP_M = 0.2
 
@@ -168,7 +170,7 @@ class DriverMachine(Machine[DriverState]):
             return GoalCommand(self._align_id, p.x, p.y, p.theta, _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD)
         if self.offer is not None and self.state is S.DRIVING:
             p = self.offer.decouple_pose
-            return GoalCommand(self._ride_goal_id, p.x, p.y, p.theta, tolerance_rad=math.pi)
+            return GoalCommand(self._ride_goal_id, p.x, p.y, p.theta, _RIDE_TOLERANCE_M, math.pi)
         return None
 
     @property

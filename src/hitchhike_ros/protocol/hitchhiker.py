@@ -9,8 +9,8 @@ import numpy as np
 
 from hitchhike_ros.datatypes import MarkerObservation, Pose2D, PoseEstimate
 from hitchhike_ros.geometry import compose, distance
+from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 from hitchhike_ros.localization.handover import handover
-from hitchhike_ros.localization.track_heading import TrackHeading, with_heading
 from hitchhike_ros.protocol.machine import (
     GoalCancelled,
     GoalGiven,
@@ -128,7 +128,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._report_at: Driver | Decouple | None = None
         self._settled_pose: PoseEstimate | None = None
         self._taken_over = False  # by the handover of this ride
-        self._track = TrackHeading()
+        self._track = DriverTrack()
 
     def step(self, event: object, now: float) -> list:
         """As Machine.step; messages of other rides than the current one are ignored."""
@@ -233,7 +233,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._in_gap_since = self._now
         if self._now - self._in_gap_since >= self.params.repeat_period_s:
             self._seen_at = self._heard_at = self._now
-            self._track = TrackHeading()
+            self._track = DriverTrack()
             self._go(S.RIDING)
             self._send_coupled(gap)
 
@@ -250,7 +250,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _acknowledge(self, message: Driver) -> None:
         self._hear(message)
-        seen, own = self._observation(), self.situation.odom_pose
+        seen, own = self._observation(), self.situation.seen_from
         if seen is not None and own is not None and self.offer is not None:
             self._track.add(compose(own, seen.pose), compose(message.pose, self.offer.marker_pose))
         gap = self.gap_m()
@@ -398,13 +398,17 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         driver = self._driver_estimate()
         if driver is None or self.offer is None:
             return None
-        marker, own, turn = self.offer.marker_pose, self.situation.odom_pose, self._track.turn()
+        marker, own, turn = self.offer.marker_pose, self.situation.seen_from, self._track.turn()
         if own is not None and turn is not None:
             seen = with_heading(seen, driver.pose.theta + marker.theta, own.theta + turn[0], turn[1])
         return handover(self.params.handover, driver, seen, marker)
 
     def _rough_pose(self) -> PoseEstimate | None:
-        """From the driver's last message alone (P17 §4), with an uncertainty that says so."""
+        """From the driver's track and the own wheels, else from the driver's last message alone (P17 §4)."""
+        own = self.situation.odom_pose
+        located = None if own is None else self._track.locate(self._now, own)
+        if located is not None:
+            return located
         driver = self._driver_estimate()
         if driver is None or self.offer is None:
             return self.situation.estimate  # still where it coupled: its own estimate has not been switched off yet

@@ -50,7 +50,8 @@ class Situation:
     obstacles: tuple[Obstacle, ...] = ()
     navigation: NavigationReport | None = None
     observation: MarkerObservation | None = None
-    odom_pose: Pose2D | None = None  # own pose in ``odom`` when that observation was made
+    seen_from: Pose2D | None = None  # own pose in ``odom`` when that observation was made
+    odom_pose: Pose2D | None = None  # own pose in ``odom`` now
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,10 @@
-"""The hitchhiker's heading from the driver's track, which it knows twice: as its camera saw it, and as it was told.
+"""The driver's track, which its rider knows twice: as its camera saw it, and as it was told; so it knows its own pose.
 
 A single look at a marker that is nearly square-on says little of its yaw: the outline of a square changes with the
 square of the angle. Where the marker *is*, however, is seen to millimetres. Over some metres of a ride these places,
-joined with the own wheel odometry, form the same curve that the driver's messages tell in ``map``; the turn that lays
-one on the other is the heading of the own odometry frame. Chosen: the papers take both to be in line (P18 Eq. 20).
+joined with the own wheel odometry, form the same curve that the driver's messages tell in ``map``. What lays one on
+the other is the pose of the own odometry frame: its heading improves the handover, and a rider that has lost its driver
+starts from all of it. Chosen: the papers take both to be in line (P18 Eq. 20; P17 §4).
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchhike_ros.datatypes import MarkerObservation, Pose2D
-from hitchhike_ros.geometry import distance, wrap_angle
+from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.geometry import compose, distance, wrap_angle
 
 # The stretch that is compared: longer ones gather drift of the odometry, shorter ones do not fix the heading.
 _WINDOW_M, _SHORTEST_M, _FEWEST = 4.0, 1.0, 5
@@ -23,9 +24,11 @@ _WINDOW_M, _SHORTEST_M, _FEWEST = 4.0, 1.0, 5
 _STEP_M = 0.05
 # Error of one place across the track, and of the odometry's heading over the window (chosen).
 _PLACE_SIGMA_M, _DRIFT_SIGMA_RAD = 0.01, 0.015
+# How far the driver moves between the moment that a message tells of and the moment that it is heard (chosen).
+_LATE_M = 0.1
 
 
-class TrackHeading:
+class DriverTrack:
     """Collects places of the driver's marker and lays the seen ones on the told ones."""
 
     def __init__(self) -> None:
@@ -43,7 +46,7 @@ class TrackHeading:
         """Heading of ``odom`` in ``map`` in rad, and its variance; None while the track is too short."""
         if len(self._places) < _FEWEST or distance(self._places[0][0], self._places[-1][0]) < _SHORTEST_M:
             return None
-        seen, told = (np.array([(p[k].x, p[k].y) for p in self._places]) for k in (0, 1))
+        seen, told = self._tracks()
         seen, told = seen - seen.mean(axis=0), told - told.mean(axis=0)
         cross = float(np.sum(seen[:, 0] * told[:, 1] - seen[:, 1] * told[:, 0]))
         turn = math.atan2(cross, float(np.sum(seen * told)))
@@ -51,6 +54,23 @@ class TrackHeading:
         residual = told - seen @ np.array([[c, s], [-s, c]])
         place = max(_PLACE_SIGMA_M**2, float(np.sum(residual**2)) / (2 * len(seen) - 3))
         return turn, place / float(np.sum(seen**2)) + _DRIFT_SIGMA_RAD**2
+
+    def locate(self, stamp: float, T_odom_h: Pose2D) -> PoseEstimate | None:
+        """The own pose in ``map`` from that in ``odom``; None as :meth:`turn`."""
+        turn = self.turn()
+        if turn is None:
+            return None
+        heading, variance = turn
+        seen, told = (Pose2D(*(float(v) for v in track.mean(axis=0))) for track in self._tracks())
+        way = compose(Pose2D(theta=heading), Pose2D(T_odom_h.x - seen.x, T_odom_h.y - seen.y))
+        pose = Pose2D(told.x + way.x, told.y + way.y, wrap_angle(T_odom_h.theta + heading))
+        lever = np.array([-way.y, way.x, 1.0])  # what an error of the heading does, as far away as the robot is
+        return PoseEstimate(stamp, pose, variance * np.outer(lever, lever) + np.diag([_LATE_M**2, _LATE_M**2, 1e-6]))
+
+    def _tracks(self) -> tuple[FloatArray, FloatArray]:
+        """Places (N, 2) as seen in ``odom`` and as told in ``map``."""
+        seen, told = (np.array([(p[k].x, p[k].y) for p in self._places]) for k in (0, 1))
+        return seen, told
 
 
 def with_heading(

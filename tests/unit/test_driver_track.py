@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.datatypes import MarkerObservation, Pose2D
 from hitchhike_ros.geometry import compose, wrap_angle
-from hitchhike_ros.localization.track_heading import TrackHeading, with_heading
+from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 
 ANGLE = st.floats(-math.pi, math.pi)
 
@@ -24,7 +24,7 @@ def track(length_m: float, bend: float) -> list[Pose2D]:
 @given(ANGLE, st.floats(-20.0, 20.0), st.floats(-0.5, 0.5))
 def test_exact_places_give_the_turn(theta: float, x: float, bend: float) -> None:
     T_map_odom, T_odom_map = Pose2D(x, -2.0, theta), compose(Pose2D(0, 0, -theta), Pose2D(-x, 2.0))
-    heading = TrackHeading()
+    heading = DriverTrack()
     for place in track(6.0, bend):
         heading.add(compose(T_odom_map, place), place)
     result = heading.turn()
@@ -34,7 +34,7 @@ def test_exact_places_give_the_turn(theta: float, x: float, bend: float) -> None
 
 @pytest.mark.parametrize(("length_m", "stands"), [(0.9, False), (0.25, True)])
 def test_a_short_track_says_nothing(length_m: float, stands: bool) -> None:
-    heading = TrackHeading()
+    heading = DriverTrack()
     places = track(length_m, 0.0) * (20 if stands else 1)
     for place in places:
         heading.add(place, place)
@@ -45,7 +45,7 @@ def test_error_is_within_its_variance() -> None:
     rng = np.random.default_rng(4)
     scores = []
     for _ in range(200):
-        heading = TrackHeading()
+        heading = DriverTrack()
         drift = rng.normal(0.0, 0.015)
         for place in track(5.0, 0.2):
             seen = compose(Pose2D(theta=-drift), place)
@@ -57,6 +57,22 @@ def test_error_is_within_its_variance() -> None:
         scores.append(result[0] ** 2 / result[1] if result else math.inf)
     assert 0.6 < np.mean(scores) < 1.4
     assert max(scores) < 16.0
+
+
+def test_a_rider_finds_itself_after_its_driver_is_lost() -> None:
+    T_map_odom, T_odom_map = Pose2D(3.0, -2.0, 0.7), compose(Pose2D(0, 0, -0.7), Pose2D(-3.0, 2.0))
+    known = DriverTrack()
+    for place in track(5.0, 0.2):
+        known.add(compose(T_odom_map, place), place)
+    own = Pose2D(4.0, 0.5, -1.2)  # in odom
+    located = known.locate(9.0, own)
+    assert located is not None
+    truth = compose(T_map_odom, own)
+    assert (located.pose.x, located.pose.y) == pytest.approx((truth.x, truth.y), abs=1e-6)
+    assert wrap_angle(located.pose.theta - truth.theta) == pytest.approx(0.0, abs=1e-6)
+    assert located.stamp == 9.0
+    assert np.linalg.eigvalsh(located.covariance).min() > 0.0
+    assert DriverTrack().locate(9.0, own) is None
 
 
 def test_a_heading_corrects_the_yaw_and_what_is_correlated_with_it() -> None:
