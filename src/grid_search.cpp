@@ -1,4 +1,5 @@
-// Shortest paths on 8-connected grids: the compiled twin of planning/astar.py, which specifies the costs.
+// Shortest paths on 8-connected grids: the compiled twins of planning/astar.py, which specifies the costs, and of
+// planning/dstar_lite.py.
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -6,7 +7,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <limits>
+#include <mutex>
 #include <queue>
 #include <string>
 #include <utility>
@@ -127,19 +130,15 @@ void require_inside(const char* what, Cell cell, std::int32_t height, std::int32
   }
 }
 
-py::tuple astar(const Costs& cost, Cell start, Cell goal) {
+void require_grid(const Costs& cost) {
   if (cost.ndim() != 2) throw py::value_error("cost has " + std::to_string(cost.ndim()) + " dimensions, expected 2");
-  if (cost.size() > std::numeric_limits<std::int32_t>::max()) throw py::value_error("cost has too many cells");
-  const auto height = static_cast<std::int32_t>(cost.shape(0)), width = static_cast<std::int32_t>(cost.shape(1));
-  require_inside("start", start, height, width);
-  require_inside("goal", goal, height, width);
-
-  const float* costs = cost.data();
-  Found found;
-  {
-    const py::gil_scoped_release release;
-    found = search(costs, height, width, start, goal);
+  // With room for a border of one cell.
+  if ((cost.shape(0) + 2) * (cost.shape(1) + 2) > std::numeric_limits<std::int32_t>::max()) {
+    throw py::value_error("cost has too many cells");
   }
+}
+
+py::tuple to_python(const Found& found, std::int32_t width) {
   py::array_t<std::int64_t> cells({static_cast<py::ssize_t>(found.cells.size()), py::ssize_t{2}});
   auto rows = cells.mutable_unchecked<2>();
   for (std::size_t i = 0; i < found.cells.size(); ++i) {
@@ -150,10 +149,279 @@ py::tuple astar(const Costs& cost, Cell start, Cell goal) {
   return py::make_tuple(cells, found.cost, found.expanded);
 }
 
+py::tuple astar(const Costs& cost, Cell start, Cell goal) {
+  require_grid(cost);
+  const auto height = static_cast<std::int32_t>(cost.shape(0)), width = static_cast<std::int32_t>(cost.shape(1));
+  require_inside("start", start, height, width);
+  require_inside("goal", goal, height, width);
+
+  const float* costs = cost.data();
+  Found found;
+  {
+    const py::gil_scoped_release release;
+    found = search(costs, height, width, start, goal);
+  }
+  return to_python(found, width);
+}
+
+// Follows the paper's optimised version (Koenig and Likhachev, 2002, Fig. 4), with three things of its own:
+// - A cell remembers the step that its rhs comes from. When a cell's g rises, the neighbours that step to it are those
+//   whose rhs has to be looked for again; the paper finds them by comparing sums for equality.
+// - Nothing is ever removed from the middle of the heap: an entry counts as long as its cell is inconsistent and still
+//   has the entry's min(g, rhs). The rest of a key needs no comparison, as old keys are only ever too low, and what is
+//   too low is put back with its new key, as in the paper.
+// - A changed cell also opens or closes the diagonals between its neighbours, so all within one step look again.
+class DStarLite {
+ public:
+  explicit DStarLite(const Costs& cost) {
+    require_grid(cost);
+    height_ = static_cast<std::int32_t>(cost.shape(0));
+    width_ = static_cast<std::int32_t>(cost.shape(1));
+    stride_ = width_ + 2;
+    for (int i = 0; i < 8; ++i) offset_[i] = kRowStep[i] * stride_ + kColumnStep[i];
+    // A border of blocked cells, so that every cell of the grid has eight neighbours.
+    nodes_.resize(static_cast<std::size_t>(height_ + 2) * static_cast<std::size_t>(stride_));
+    const auto values = cost.unchecked<2>();
+    for (std::int32_t row = 0; row < height_; ++row) {
+      for (std::int32_t column = 0; column < width_; ++column) {
+        set_cost(index({row, column}), values(row, column));
+      }
+    }
+  }
+
+  py::tuple plan(Cell start, Cell goal) {
+    require_inside("start", start, height_, width_);
+    require_inside("goal", goal, height_, width_);
+    return run([&] {
+      for (Node& node : nodes_) {
+        node.g = node.rhs = kInfinity;
+        node.next = kNone;
+      }
+      open_.clear();
+      offset_of_keys_ = 0.0;
+      start_ = last_ = index(start);
+      goal_ = index(goal);
+      nodes_[goal_].rhs = 0.0;
+      push(key(goal_));
+    });
+  }
+
+  py::tuple move(Cell start) {
+    require_inside("start", start, height_, width_);
+    if (goal_ == kNowhere) throw py::value_error("move before the first plan");
+    return run([&] { start_ = index(start); });
+  }
+
+  void change(const py::array_t<std::int64_t, py::array::c_style | py::array::forcecast>& cells, const Costs& cost) {
+    if (cells.ndim() != 2 || cells.shape(1) != 2 || cost.ndim() != 1 || cost.shape(0) != cells.shape(0)) {
+      throw py::value_error("expected cells (N, 2) and costs (N,)");
+    }
+    const auto at = cells.unchecked<2>();
+    const auto values = cost.unchecked<1>();
+    for (py::ssize_t k = 0; k < at.shape(0); ++k) {
+      if (at(k, 0) < 0 || at(k, 0) >= height_ || at(k, 1) < 0 || at(k, 1) >= width_) {
+        throw py::index_error("cell (" + std::to_string(at(k, 0)) + ", " + std::to_string(at(k, 1)) +
+                              ") is outside the grid of " + std::to_string(height_) + " x " + std::to_string(width_));
+      }
+    }
+    const py::gil_scoped_release release;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto cell_at = [&](py::ssize_t k) {
+      return index({static_cast<std::int32_t>(at(k, 0)), static_cast<std::int32_t>(at(k, 1))});
+    };
+    for (py::ssize_t k = 0; k < at.shape(0); ++k) set_cost(cell_at(k), values(k));
+    if (goal_ == kNowhere) return;
+    follow_robot();
+    for (py::ssize_t k = 0; k < at.shape(0); ++k) {
+      const std::int32_t cell = cell_at(k);
+      look_again(cell);
+      for (const std::int32_t offset : offset_) look_again(cell + offset);
+    }
+  }
+
+ private:
+  static constexpr std::uint8_t kNone = 8;
+  static constexpr std::int32_t kNowhere = -1;
+  // The heuristic is this much of the octile distance: on free grids f is the same all along a path, and rounding must
+  // not end the search before a cell of the path whose g is out of date.
+  static constexpr double kOfOctile = 1.0 - 1e-6;
+
+  struct Node {
+    double g = kInfinity, rhs = kInfinity;
+    float cost = std::numeric_limits<float>::infinity();  // infinite for everything that is not passable
+    std::uint8_t next = kNone;                            // step to the neighbour that rhs comes from
+  };
+
+  struct Key {
+    double f, g;
+    std::int32_t cell;
+    bool operator<(const Key& other) const { return f != other.f ? f < other.f : g < other.g; }
+    bool operator>(const Key& other) const { return other < *this; }
+  };
+
+  std::int32_t index(Cell cell) const { return (cell.first + 1) * stride_ + cell.second + 1; }
+
+  void set_cost(std::int32_t cell, float cost) {
+    nodes_[cell].cost = passable(cost) ? cost : std::numeric_limits<float>::infinity();
+  }
+
+  double distance(std::int32_t a, std::int32_t b) const {
+    const double dr = std::abs(a / stride_ - b / stride_), dc = std::abs(a % stride_ - b % stride_);
+    return kOfOctile * (std::max(dr, dc) + (kDiagonal - 1.0) * std::min(dr, dc));
+  }
+
+  // Cost of step i from a cell, infinite where it is not allowed.
+  double step(std::int32_t cell, int i) const {
+    if (i >= 4 && (nodes_[cell + kRowStep[i] * stride_].cost == kInfinity ||
+                   nodes_[cell + kColumnStep[i]].cost == kInfinity)) {
+      return kInfinity;
+    }
+    const double here = nodes_[cell].cost;
+    return (i < 4 ? 1.0 : kDiagonal) * (here + nodes_[cell + offset_[i]].cost) / 2.0;
+  }
+
+  static int opposite(int i) { return i < 4 ? i ^ 1 : 11 - i; }
+
+  // What a cell's place in the heap depends on beside the robot; negative for a cell that is not in it.
+  static double queued(const Node& node) { return node.g == node.rhs ? -1.0 : std::min(node.g, node.rhs); }
+
+  Key key(std::int32_t cell) const {
+    const double g = std::min(nodes_[cell].g, nodes_[cell].rhs);
+    return {g + distance(start_, cell) + offset_of_keys_, g, cell};
+  }
+
+  void push(const Key& entry) {
+    open_.push_back(entry);
+    std::push_heap(open_.begin(), open_.end(), std::greater<>());
+  }
+
+  void pop() {
+    std::pop_heap(open_.begin(), open_.end(), std::greater<>());
+    open_.pop_back();
+  }
+
+  // Sets g or rhs of a cell by ``set`` and puts the cell into the heap if it belongs at another place now.
+  template <typename Set>
+  void update(std::int32_t cell, Set set) {
+    Node& node = nodes_[cell];
+    const double before = queued(node);
+    set(node);
+    const double after = queued(node);
+    if (after >= 0.0 && after != before) push(key(cell));
+  }
+
+  void look_again(std::int32_t cell) {
+    if (cell == goal_) return;
+    double rhs = kInfinity;
+    std::uint8_t next = kNone;
+    if (nodes_[cell].cost < kInfinity) {  // never true of the border, which has no eight neighbours
+      for (int i = 0; i < 8; ++i) {
+        const double through = step(cell, i) + nodes_[cell + offset_[i]].g;
+        if (through < rhs) {
+          rhs = through;
+          next = static_cast<std::uint8_t>(i);
+        }
+      }
+    }
+    update(cell, [&](Node& node) {
+      node.rhs = rhs;
+      node.next = next;
+    });
+  }
+
+  // Old keys stay below the true ones when the robot moves, as all new ones are raised by the way it has gone.
+  void follow_robot() {
+    offset_of_keys_ += distance(last_, start_);
+    last_ = start_;
+  }
+
+  std::int64_t repair() {
+    follow_robot();
+    if (open_.size() > nodes_.size()) {  // mostly entries that no longer count
+      open_.clear();
+      for (std::int32_t cell = 0; cell < static_cast<std::int32_t>(nodes_.size()); ++cell) {
+        if (queued(nodes_[cell]) >= 0.0) push(key(cell));
+      }
+    }
+    std::int64_t expanded = 0;
+    const Node& robot = nodes_[start_];
+    while (!open_.empty()) {
+      const Key top = open_.front();
+      Node& node = nodes_[top.cell];
+      if (queued(node) != top.g) {
+        pop();
+        continue;
+      }
+      if (!(top < key(start_)) && robot.rhs <= robot.g) break;
+      pop();
+      const Key now = key(top.cell);
+      if (top < now) {
+        push(now);
+        continue;
+      }
+      ++expanded;
+      if (node.g > node.rhs) {
+        const double g = node.g = node.rhs;
+        for (int i = 0; i < 8; ++i) {
+          const std::int32_t cell = top.cell + offset_[i];
+          const double through = step(top.cell, i) + g;
+          if (through < nodes_[cell].rhs) {
+            update(cell, [&](Node& neighbour) {
+              neighbour.rhs = through;
+              neighbour.next = static_cast<std::uint8_t>(opposite(i));
+            });
+          }
+        }
+      } else {
+        update(top.cell, [](Node& raised) { raised.g = kInfinity; });
+        for (int i = 0; i < 8; ++i) {
+          const std::int32_t cell = top.cell + offset_[i];
+          if (nodes_[cell].next == opposite(i)) look_again(cell);
+        }
+      }
+    }
+    return expanded;
+  }
+
+  // Prepares by ``prepare``, repairs, and follows the steps from the robot to the goal.
+  template <typename Prepare>
+  py::tuple run(Prepare prepare) {
+    Found found;
+    {
+      const py::gil_scoped_release release;
+      const std::lock_guard<std::mutex> lock(mutex_);
+      prepare();
+      found.expanded = repair();
+      if (nodes_[start_].cost < kInfinity && nodes_[goal_].cost < kInfinity) found.cost = nodes_[start_].rhs;
+      if (found.cost < kInfinity) {
+        for (std::int32_t cell = start_;; cell += offset_[nodes_[cell].next]) {
+          found.cells.push_back((cell / stride_ - 1) * width_ + cell % stride_ - 1);
+          if (cell == goal_) break;
+        }
+      }
+    }
+    return to_python(found, width_);
+  }
+
+  std::int32_t height_, width_, stride_;
+  std::int32_t offset_[8];
+  std::vector<Node> nodes_;
+  std::vector<Key> open_;  // a heap, the least key on top
+  double offset_of_keys_ = 0.0;  // k_m of the paper
+  std::int32_t start_ = kNowhere, last_ = kNowhere, goal_ = kNowhere;
+  std::mutex mutex_;
+};
+
 }  // namespace
 
 PYBIND11_MODULE(_grid_search, m) {
-  m.doc() = "Compiled searches on grids; use them through hitchhike_ros.planning.astar.";
+  m.doc() = "Compiled searches on grids; use them through hitchhike_ros.planning.astar and dstar_lite.";
   m.def("astar", &astar, py::arg("cost").noconvert(), py::arg("start"), py::arg("goal"),
         "Cells (N, 2), cost and number of expanded cells; no cells and infinite cost when there is no path.");
+  py::class_<DStarLite>(m, "DStarLite")
+      .def(py::init<const Costs&>(), py::arg("cost").noconvert())
+      .def("plan", &DStarLite::plan, py::arg("start"), py::arg("goal"), "As astar; later calls of move build on it.")
+      .def("move", &DStarLite::move, py::arg("start"), "As plan, for the same goal, with what is still valid kept.")
+      .def("change", &DStarLite::change, py::arg("cells"), py::arg("costs").noconvert(),
+           "Give cells (N, 2) new costs (N,).");
 }

@@ -12,11 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from path_checks import check_path, is_passable
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from hitchhike_ros.planning.astar import SearchResult, search, search_reference
+from hitchhike_ros.planning.astar import search, search_reference
 
 SEARCHES = pytest.mark.parametrize("find", [search, search_reference])
 
@@ -33,26 +34,6 @@ def problems(draw):
     cost = draw(hnp.arrays(np.float32, shape, elements=costs.map(np.float32)))
     start, goal = (tuple(draw(st.integers(0, n - 1)) for n in shape) for _ in range(2))
     return cost, start, goal
-
-
-def is_passable(cost: np.ndarray) -> np.ndarray:
-    return (cost >= 1) & np.isfinite(cost)
-
-
-def check_path(cost: np.ndarray, start, goal, result: SearchResult) -> None:
-    """The path joins start and goal, is free, cuts no corner and costs what it says."""
-    cells = result.cells
-    passable = is_passable(cost)
-    assert tuple(cells[0]) == start
-    assert tuple(cells[-1]) == goal
-    assert passable[tuple(cells.T)].all()
-    steps = np.diff(cells, axis=0)
-    assert (np.abs(steps).max(axis=1) == 1).all()
-    assert passable[cells[:-1, 0], cells[1:, 1]].all()
-    assert passable[cells[1:, 0], cells[:-1, 1]].all()
-    along = cost[tuple(cells.T)].astype(float)
-    total = (np.hypot(*steps.T) * (along[:-1] + along[1:]) / 2).sum()
-    assert result.cost == pytest.approx(total, abs=1e-9)
 
 
 def dijkstra_cost(cost: np.ndarray, start, goal) -> float:

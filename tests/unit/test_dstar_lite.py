@@ -1,0 +1,147 @@
+"""D* Lite: after every change its path costs what a fresh A* finds, and is a path."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from path_checks import check_path
+
+from hitchhike_ros.planning.astar import SearchResult, search, search_reference
+from hitchhike_ros.planning.dstar_lite import DStarLite, DStarLiteReference
+
+BOTH = pytest.mark.parametrize("planner", [DStarLite, DStarLiteReference])
+COSTS = [1.0, 1.0, 1.0, 1.5, 2.25, 7.0, math.inf, math.inf, math.nan, 0.5, -1.0]
+
+
+def check(cost: np.ndarray, start, goal, result: SearchResult, fresh: SearchResult) -> None:
+    assert result.found == fresh.found == math.isfinite(result.cost)
+    assert result.cost == pytest.approx(fresh.cost, abs=1e-9)
+    if result.found:
+        check_path(cost, start, goal, result)
+
+
+@st.composite
+def journeys(draw):
+    """A grid, a goal, and what happens: each time some cells change and the robot is somewhere."""
+    shape = draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
+    costs = st.sampled_from(COSTS).map(np.float32)
+    cells = st.tuples(*(st.integers(0, n - 1) for n in shape))
+    events = st.tuples(st.lists(st.tuples(cells, costs), max_size=4), cells)
+    grid = draw(hnp.arrays(np.float32, shape, elements=costs))
+    return grid, draw(cells), draw(cells), draw(st.lists(events, max_size=6))
+
+
+@BOTH
+@given(journeys())
+@settings(max_examples=150, deadline=None)
+def test_every_repair_costs_what_a_fresh_search_finds(planner, journey):
+    cost, start, goal, events = journey
+    its = planner(cost)
+    check(cost, start, goal, its.plan(start, goal), search_reference(cost, start, goal))
+    for changes, place in events:
+        cost = cost.copy()
+        for cell, value in changes:
+            cost[cell] = value
+        its.change([cell for cell, _ in changes], [value for _, value in changes])
+        check(cost, place, goal, its.move(place), search_reference(cost, place, goal))
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_ten_thousand_changes_on_random_maps(seed):
+    """200 times a map one cell to twenty change, as the robot drives along its path and is now and then put elsewhere."""
+    random = np.random.default_rng(seed)
+    shape = tuple(random.integers(20, 50, 2))
+    plain = seed % 2 == 0  # only free and blocked: many paths cost the same
+    values = np.array([1.0, 1.0, math.inf] if plain else [1.0, 1.0, 1.0, 1.7, 3.0, math.inf], dtype=np.float32)
+    cost = random.choice(values, shape)
+    if plain:
+        cost[random.random(shape) < 0.3] = 1.0
+    start, goal = ((int(row), int(column)) for row, column in random.integers(0, shape, (2, 2)))
+    cost[start] = cost[goal] = 1.0
+    its = DStarLite(cost)
+    result = its.plan(start, goal)
+    found = 0
+    for i in range(200):
+        cells = random.integers(0, shape, (random.integers(1, 20), 2))
+        if i % 2:  # near the robot, where it matters most
+            cells = np.clip(start + random.integers(-3, 4, cells.shape), 0, np.array(shape) - 1)
+        new = random.choice(values, len(cells))
+        for cell, value in zip(cells, new, strict=True):
+            cost[tuple(cell)] = value
+        its.change(cells, new)
+        if i % 25 == 24:
+            start = int(random.integers(shape[0])), int(random.integers(shape[1]))
+        elif len(result.cells) > 1:
+            start = int(result.cells[1, 0]), int(result.cells[1, 1])
+        result = its.move(start)
+        check(cost, start, goal, result, search(cost, start, goal))
+        found += result.found
+        if i % 50 == 49:
+            goal = int(random.integers(shape[0])), int(random.integers(shape[1]))
+            check(cost, start, goal, its.plan(start, goal), search(cost, start, goal))
+    assert found > 20
+
+
+@BOTH
+def test_a_corner_that_appears_closes_the_diagonal_beside_it(planner):
+    cost = np.ones((2, 2), dtype=np.float32)
+    its = planner(cost)
+    assert its.plan((0, 0), (1, 1)).cost == pytest.approx(math.sqrt(2))
+    its.change([(0, 1)], [math.inf])
+    assert its.move((0, 0)).cells.tolist() == [[0, 0], [1, 0], [1, 1]]
+    its.change([(0, 1)], [1.0])
+    assert its.move((0, 0)).cost == pytest.approx(math.sqrt(2))
+
+
+@BOTH
+def test_start_and_goal_that_are_blocked_and_freed_again(planner):
+    its = planner(np.ones((3, 5), dtype=np.float32))
+    its.plan((1, 0), (1, 4))
+    for cell in ((1, 0), (1, 4)):
+        its.change([cell], [math.inf])
+        assert not its.move((1, 0)).found
+        its.change([cell], [1.0])
+        assert its.move((1, 0)).cost == 4.0
+    assert its.plan((2, 2), (2, 2)).cells.tolist() == [[2, 2]]
+    its.change([(2, 2)], [math.nan])
+    assert its.move((2, 2)).cost == math.inf
+
+
+def test_a_change_near_the_robot_is_repaired_there():
+    cost = np.ones((200, 200), dtype=np.float32)
+    cost[100, 10:] = math.inf
+    its = DStarLite(cost)
+    first = its.plan((150, 150), (50, 150))
+    its.change([(150, 149), (149, 149)], [math.inf, math.inf])
+    assert 0 < its.move((150, 150)).expanded < first.expanded / 20
+
+
+def test_what_is_outside_changes_nothing():
+    its = DStarLite(np.ones((4, 5), dtype=np.float32))
+    for start, goal in (((4, 0), (0, 0)), ((0, 0), (0, 5)), ((-1, 0), (0, 0))):
+        with pytest.raises(IndexError, match="outside the grid"):
+            its.plan(start, goal)
+    with pytest.raises(ValueError, match="before the first plan"):
+        its.move((0, 0))
+    its.plan((0, 0), (0, 4))
+    with pytest.raises(IndexError, match="outside the grid"):
+        its.change([(0, 2), (4, 4)], [math.inf, math.inf])
+    with pytest.raises(IndexError, match="outside the grid"):
+        its.move((0, 5))
+    with pytest.raises(ValueError, match="costs"):
+        its.change([(0, 2)], [1.0, 1.0])
+    assert its.move((0, 0)).cost == 4.0
+
+
+def test_the_callers_array_is_its_own():
+    cost = np.ones((1, 3), dtype=np.float32)
+    its = DStarLite(cost)
+    cost[0, 1] = math.inf
+    assert its.plan((0, 0), (0, 2)).cost == 2.0
+    with pytest.raises(TypeError):
+        DStarLite(np.ones((4, 4)))
