@@ -7,9 +7,13 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
+#include <cstring>
 #include <functional>
 #include <limits>
+#include <memory>
 #include <mutex>
+#include <new>
 #include <queue>
 #include <string>
 #include <utility>
@@ -28,24 +32,35 @@ const double kDiagonal = std::sqrt(2.0);
 // Steps in the order east, west, north, south, then the diagonals between them.
 constexpr int kRowStep[8] = {0, 0, 1, -1, 1, -1, 1, -1};
 constexpr int kColumnStep[8] = {1, -1, 0, 0, 1, 1, -1, -1};
-constexpr std::uint8_t kExpanded = 8;  // a flag beside the steps 0 to 7
+constexpr std::uint8_t kExpanded = 16;  // a flag beside 1 + the steps 0 to 7
 
 // False for infinity, NaN and everything that would make the heuristic overestimate.
 inline bool passable(float cost) { return cost >= 1.0F && cost < std::numeric_limits<float>::infinity(); }
 
+// An entry of the heap: the least estimate first; among equals the one nearer to the goal, then the lower cell. All are
+// whole numbers in the order of what they stand for, as bits of positive numbers are, so that comparing needs no branch
+// that a processor could guess wrong: the heap is what the search waits for.
 struct Open {
-  double f;           // cost from the start plus heuristic
-  float h;            // the heuristic alone; it only decides among equals
-  std::int32_t cell;  // 16 bytes in all: the heap is what the search waits for
+  std::uint64_t f;     // cost from the start plus heuristic
+  std::uint64_t rest;  // the heuristic alone, and the cell
+
+  Open(double estimate, float h, std::int32_t cell) {
+    std::uint32_t bits;
+    std::memcpy(&f, &estimate, sizeof f);
+    std::memcpy(&bits, &h, sizeof bits);
+    rest = static_cast<std::uint64_t>(bits) << 32 | static_cast<std::uint32_t>(cell);
+  }
+  std::int32_t cell() const { return static_cast<std::int32_t>(rest & 0xFFFFFFFFU); }
 };
 
-// The least f first; among equals the one nearer to the goal, then the lower cell.
 struct Later {
-  bool operator()(const Open& a, const Open& b) const {
-    if (a.f != b.f) return a.f > b.f;
-    if (a.h != b.h) return a.h > b.h;
-    return a.cell > b.cell;
-  }
+  bool operator()(const Open& a, const Open& b) const { return (a.f > b.f) | ((a.f == b.f) & (a.rest > b.rest)); }
+};
+
+// What is known of a cell; all zero for one that was not reached, so that fresh pages of memory need no filling.
+struct Reached {
+  double g;
+  std::uint8_t state;  // 1 + the step by which it was reached; kExpanded
 };
 
 struct Found {
@@ -61,8 +76,11 @@ Found search(const float* costs, std::int32_t height, std::int32_t width, Cell s
   if (!passable(costs[first]) || !passable(costs[last])) return found;
 
   const std::size_t size = static_cast<std::size_t>(height) * static_cast<std::size_t>(width);
-  std::vector<double> g(size, kInfinity);
-  std::vector<std::uint8_t> step_to(size, 0);  // index of the step by which a cell was reached, and kExpanded
+  struct Free {
+    void operator()(void* memory) const { std::free(memory); }
+  };
+  const std::unique_ptr<Reached[], Free> reached(static_cast<Reached*>(std::calloc(size, sizeof(Reached))));
+  if (!reached) throw std::bad_alloc();
   std::vector<Open> storage;
   storage.reserve(4096);
   std::priority_queue<Open, std::vector<Open>, Later> open(Later(), std::move(storage));
@@ -75,27 +93,27 @@ Found search(const float* costs, std::int32_t height, std::int32_t width, Cell s
   std::int32_t offset[8];
   for (int i = 0; i < 8; ++i) offset[i] = kRowStep[i] * width + kColumnStep[i];
 
-  g[first] = 0.0;
-  open.push({heuristic(start.first, start.second), 0.0F, first});
+  open.emplace(heuristic(start.first, start.second), 0.0F, first);
   while (!open.empty()) {
-    const std::int32_t here = open.top().cell;
+    const std::int32_t here = open.top().cell();
     open.pop();
-    if (step_to[here] & kExpanded) continue;  // it was pushed again when a cheaper way to it was found
-    step_to[here] |= kExpanded;
+    if (reached[here].state & kExpanded) continue;  // it was pushed again when a cheaper way to it was found
+    reached[here].state |= kExpanded;
     ++found.expanded;
     if (here == last) break;
 
     const std::int32_t row = here / width, column = here % width;
-    const double g_here = g[here], cost_here = costs[here];
+    const double g_here = reached[here].g, cost_here = costs[here];
     const auto relax = [&](int i) {
       const std::int32_t next = here + offset[i];
-      if (step_to[next] & kExpanded) return;
-      const double g_next = g_here + (i < 4 ? 1.0 : kDiagonal) * (cost_here + costs[next]) / 2.0;
-      if (g_next < g[next]) {
-        g[next] = g_next;
-        step_to[next] = static_cast<std::uint8_t>(i);
+      Reached& there = reached[next];
+      if (there.state & kExpanded) return;
+      const double g = g_here + (i < 4 ? 1.0 : kDiagonal) * (cost_here + costs[next]) / 2.0;
+      if (there.state == 0 || g < there.g) {
+        there.g = g;
+        there.state = static_cast<std::uint8_t>(i + 1);
         const double h = heuristic(row + kRowStep[i], column + kColumnStep[i]);
-        open.push({g_next + h, static_cast<float>(h), next});
+        open.emplace(g + h, static_cast<float>(h), next);
       }
     };
     const bool east = column + 1 < width && passable(costs[here + 1]);
@@ -112,9 +130,9 @@ Found search(const float* costs, std::int32_t height, std::int32_t width, Cell s
     if (south && west && passable(costs[here + offset[7]])) relax(7);
   }
 
-  found.cost = g[last];
-  if (found.cost < kInfinity) {
-    for (std::int32_t cell = last; cell != first; cell -= offset[step_to[cell] & ~kExpanded]) {
+  if (reached[last].state & kExpanded) {
+    found.cost = reached[last].g;
+    for (std::int32_t cell = last; cell != first; cell -= offset[(reached[cell].state & ~kExpanded) - 1]) {
       found.cells.push_back(cell);
     }
     found.cells.push_back(first);
