@@ -6,6 +6,7 @@ import math
 import sys
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,7 +18,10 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from hitchhike_ros.mapping.grid import FREE
+from hitchhike_ros.mapping.moving_ai import load_moving_ai_map, load_scenarios
 from hitchhike_ros.planning.astar import search, search_reference
+from hitchhike_ros.planning.dstar_lite import DStarLite
 
 SEARCHES = pytest.mark.parametrize("find", [search, search_reference])
 
@@ -175,11 +179,9 @@ def test_moving_ai_scenarios_have_the_optimal_length(shared_data, name):
     file = shared_data / "movingai" / f"{name}.map"
     if not file.exists():
         pytest.skip(f"{file} is not there")
-    lines = file.read_text().splitlines()
-    rows = [line for line in lines[lines.index("map") + 1 :] if line]
-    cost = np.array([[1.0 if c in ".G" else np.inf for c in row] for row in rows], dtype=np.float32)
-    scenarios = [line.split() for line in file.with_suffix(".map.scen").read_text().splitlines()[1:] if line.strip()]
-    for fields in scenarios[:: max(1, len(scenarios) // 25)]:
-        start_x, start_y, goal_x, goal_y = (int(value) for value in fields[4:8])
-        result = search(cost, (start_y, start_x), (goal_y, goal_x))
-        assert result.cost == pytest.approx(float(fields[8]), abs=0.006)
+    cost = np.where(load_moving_ai_map(file).data == FREE, 1, np.inf).astype(np.float32)
+    scenarios = load_scenarios(file.with_suffix(".map.scen"))
+    its = DStarLite(cost)
+    for scenario in scenarios[:: max(1, len(scenarios) // 25)]:
+        for plan in (partial(search, cost), its.plan):
+            assert plan(scenario.start, scenario.goal).cost == pytest.approx(scenario.length, abs=0.006)

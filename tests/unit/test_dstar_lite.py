@@ -53,7 +53,7 @@ def test_every_repair_costs_what_a_fresh_search_finds(planner, journey):
 
 @pytest.mark.parametrize("seed", range(50))
 def test_ten_thousand_changes_on_random_maps(seed):
-    """200 changes a map, of up to twenty cells, as the robot drives along its path and is now and then put elsewhere."""
+    """200 changes a map, of up to 20 cells, as the robot drives along its path and is now and then put elsewhere."""
     random = np.random.default_rng(seed)
     shape = tuple(random.integers(20, 50, 2))
     plain = seed % 2 == 0  # only free and blocked: many paths cost the same
