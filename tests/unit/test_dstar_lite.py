@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from path_checks import check_path
 
 from hitchhike_ros.planning.astar import SearchResult, search, search_reference
-from hitchhike_ros.planning.dstar_lite import DStarLite, DStarLiteReference
+from hitchhike_ros.planning.dstar_lite import DStarLite, DStarLiteReference, RepairedSearch
 
 BOTH = pytest.mark.parametrize("planner", [DStarLite, DStarLiteReference])
 COSTS = [1.0, 1.0, 1.0, 1.5, 2.25, 7.0, math.inf, math.inf, math.nan, 0.5, -1.0]
@@ -85,6 +85,32 @@ def test_ten_thousand_changes_on_random_maps(seed):
             goal = int(random.integers(shape[0])), int(random.integers(shape[1]))
             check(cost, start, goal, its.plan(start, goal), search(cost, start, goal))
     assert found > 20
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_search_after_another_on_grids_that_boxes_come_to(seed):
+    random = np.random.default_rng(seed)
+    its, goal, empty = RepairedSearch(), (35, 35), np.ones((40, 40), dtype=np.float32)
+    repaired = 0
+    for i in range(60):
+        cost = empty.copy()
+        for row, column in random.integers(0, 36, (3, 2)):
+            cost[row : row + 4, column : column + 4] = random.choice([2.0, math.inf])
+        start = int(random.integers(40)), int(random.integers(40))
+        if i % 10 == 9:
+            goal = int(random.integers(40)), int(random.integers(40))
+        result, fresh = its(cost, start, goal), search(cost, start, goal)
+        check(cost, start, goal, result, fresh)
+        repaired += result.expanded < fresh.expanded
+    assert repaired > 10
+
+
+def test_another_goal_or_another_size_is_searched_from_scratch():
+    its = RepairedSearch()
+    for shape, goal in (((5, 5), (4, 4)), ((5, 5), (0, 4)), ((3, 9), (0, 4)), ((1, 3), (0, 2))):
+        assert its(np.ones(shape, dtype=np.float32), (0, 0), goal).cells[-1].tolist() == list(goal)
+    blocked = np.full((1, 3), math.inf, dtype=np.float32)
+    assert not its(blocked, (0, 0), (0, 2)).found
 
 
 @BOTH

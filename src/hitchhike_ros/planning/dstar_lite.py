@@ -10,6 +10,7 @@ single path A* expands fewer cells.
 from __future__ import annotations
 
 import math
+import threading
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 
@@ -61,6 +62,36 @@ class DStarLite:
             ValueError: there are not as many costs as cells.
         """
         self._search.change(np.asarray(cells, dtype=np.int64).reshape(-1, 2), np.asarray(costs, dtype=np.float32))
+
+
+class RepairedSearch:
+    """One search after another, each of them a repair of the last where that saves something.
+
+    It does when the goal and the size of the grid are the same and few cells have changed, as when a box appears or
+    vanishes in the map of a robot under way. The cost is that of a fresh search; of paths that cost the same it may be
+    another one. Threads may share it and take turns.
+    """
+
+    # With more cells changed than this share of all, a search from scratch costs less; chosen.
+    _FEW = 0.1
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._last: tuple[DStarLite, Cell, CostArray] | None = None
+
+    def __call__(self, cost: CostArray, start: Cell, goal: Cell) -> SearchResult:
+        """As :func:`hitchhike_ros.planning.astar.search`; ``cost`` is kept, and must not change afterwards."""
+        with self._lock:
+            if self._last is not None and self._last[1] == goal and self._last[2].shape == cost.shape:
+                search, _, before = self._last
+                cells = np.argwhere(cost != before)
+                if len(cells) <= self._FEW * cost.size:
+                    search.change(cells, cost[tuple(cells.T)])
+                    self._last = search, goal, cost
+                    return search.move(start)
+            search = DStarLite(cost)
+            self._last = search, goal, cost
+            return search.plan(start, goal)
 
 
 _DIAGONAL = math.sqrt(2.0)
