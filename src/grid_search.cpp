@@ -14,7 +14,6 @@
 #include <memory>
 #include <mutex>
 #include <new>
-#include <queue>
 #include <string>
 #include <utility>
 #include <vector>
@@ -53,8 +52,70 @@ struct Open {
   std::int32_t cell() const { return static_cast<std::int32_t>(rest & 0xFFFFFFFFU); }
 };
 
-struct Later {
-  bool operator()(const Open& a, const Open& b) const { return (a.f > b.f) | ((a.f == b.f) & (a.rest > b.rest)); }
+inline bool before(const Open& a, const Open& b) {
+  return (a.f < b.f) | ((a.f == b.f) & (a.rest < b.rest));
+}
+
+// A heap with four children to a node: half as deep as a binary one, and the children lie side by side. One entry may
+// wait outside, so that a cell which is both reached and expanded next never enters it.
+class OpenCells {
+ public:
+  bool empty() const { return !waits_ && heap_.empty(); }
+
+  void push(Open entry) {
+    if (waits_) {
+      if (before(entry, waiting_)) std::swap(entry, waiting_);
+      insert(entry);
+    } else {
+      waiting_ = entry;
+      waits_ = true;
+    }
+  }
+
+  std::int32_t pop() {
+    if (waits_ && (heap_.empty() || before(waiting_, heap_.front()))) {
+      waits_ = false;
+      return waiting_.cell();
+    }
+    const std::int32_t cell = heap_.front().cell();
+    remove_front();
+    return cell;
+  }
+
+ private:
+  void insert(const Open& entry) {
+    std::size_t hole = heap_.size();
+    heap_.push_back(entry);
+    for (; hole > 0; hole = (hole - 1) / 4) {
+      const Open& parent = heap_[(hole - 1) / 4];
+      if (!before(entry, parent)) break;
+      heap_[hole] = parent;
+    }
+    heap_[hole] = entry;
+  }
+
+  void remove_front() {
+    const Open last = heap_.back();
+    heap_.pop_back();
+    const std::size_t size = heap_.size();
+    if (size == 0) return;
+    std::size_t hole = 0;
+    for (std::size_t child = 1; child < size; child = 4 * hole + 1) {
+      std::size_t least = child;
+      const std::size_t end = std::min(child + 4, size);
+      for (std::size_t other = child + 1; other < end; ++other) {
+        least = before(heap_[other], heap_[least]) ? other : least;
+      }
+      if (!before(heap_[least], last)) break;
+      heap_[hole] = heap_[least];
+      hole = least;
+    }
+    heap_[hole] = last;
+  }
+
+  std::vector<Open> heap_;
+  Open waiting_{0.0, 0.0F, 0};
+  bool waits_ = false;
 };
 
 // What is known of a cell; all zero for one that was not reached, so that fresh pages of memory need no filling.
@@ -81,9 +142,7 @@ Found search(const float* costs, std::int32_t height, std::int32_t width, Cell s
   };
   const std::unique_ptr<Reached[], Free> reached(static_cast<Reached*>(std::calloc(size, sizeof(Reached))));
   if (!reached) throw std::bad_alloc();
-  std::vector<Open> storage;
-  storage.reserve(4096);
-  std::priority_queue<Open, std::vector<Open>, Later> open(Later(), std::move(storage));
+  OpenCells open;
 
   const auto heuristic = [goal](std::int32_t row, std::int32_t column) {
     const double dr = std::abs(row - goal.first), dc = std::abs(column - goal.second);
@@ -93,10 +152,9 @@ Found search(const float* costs, std::int32_t height, std::int32_t width, Cell s
   std::int32_t offset[8];
   for (int i = 0; i < 8; ++i) offset[i] = kRowStep[i] * width + kColumnStep[i];
 
-  open.emplace(heuristic(start.first, start.second), 0.0F, first);
+  open.push({heuristic(start.first, start.second), 0.0F, first});
   while (!open.empty()) {
-    const std::int32_t here = open.top().cell();
-    open.pop();
+    const std::int32_t here = open.pop();
     if (reached[here].state & kExpanded) continue;  // it was pushed again when a cheaper way to it was found
     reached[here].state |= kExpanded;
     ++found.expanded;
@@ -113,7 +171,7 @@ Found search(const float* costs, std::int32_t height, std::int32_t width, Cell s
         there.g = g;
         there.state = static_cast<std::uint8_t>(i + 1);
         const double h = heuristic(row + kRowStep[i], column + kColumnStep[i]);
-        open.emplace(g + h, static_cast<float>(h), next);
+        open.push({g + h, static_cast<float>(h), next});
       }
     };
     const bool east = column + 1 < width && passable(costs[here + 1]);
