@@ -14,6 +14,7 @@
 #include <memory>
 #include <mutex>
 #include <new>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -260,6 +261,7 @@ class DStarLite {
     const auto values = cost.unchecked<2>();
     for (std::int32_t row = 0; row < height_; ++row) {
       for (std::int32_t column = 0; column < width_; ++column) {
+        require_limited(values(row, column));
         set_cost(index({row, column}), values(row, column));
       }
     }
@@ -299,6 +301,7 @@ class DStarLite {
         throw py::index_error("cell (" + std::to_string(at(k, 0)) + ", " + std::to_string(at(k, 1)) +
                               ") is outside the grid of " + std::to_string(height_) + " x " + std::to_string(width_));
       }
+      require_limited(values(k));
     }
     const py::gil_scoped_release release;
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -319,8 +322,10 @@ class DStarLite {
   static constexpr std::uint8_t kNone = 8;
   static constexpr std::int32_t kNowhere = -1;
   // The heuristic is this much of the octile distance: on free grids f is the same all along a path, and rounding must
-  // not end the search before a cell of the path whose g is out of date.
-  static constexpr double kOfOctile = 1.0 - 1e-6;
+  // not end the search before a cell of the path whose g is out of date. For the same reason costs are limited: the sum
+  // over ten thousand of the dearest cells is still told apart from one that is a thousandth of a step longer.
+  static constexpr double kOfOctile = 1.0 - 1e-3;
+  static constexpr float kDearest = 1e6F;
 
   struct Node {
     double g = kInfinity, rhs = kInfinity;
@@ -336,6 +341,12 @@ class DStarLite {
   };
 
   std::int32_t index(Cell cell) const { return (cell.first + 1) * stride_ + cell.second + 1; }
+
+  static void require_limited(float cost) {
+    if (passable(cost) && cost > kDearest) {
+      throw py::value_error("cost " + std::to_string(cost) + ", expected at most 1e6, or infinity");
+    }
+  }
 
   void set_cost(std::int32_t cell, float cost) {
     nodes_[cell].cost = passable(cost) ? cost : std::numeric_limits<float>::infinity();
@@ -473,6 +484,9 @@ class DStarLite {
         for (std::int32_t cell = start_;; cell += offset_[nodes_[cell].next]) {
           found.cells.push_back((cell / stride_ - 1) * width_ + cell % stride_ - 1);
           if (cell == goal_) break;
+          if (nodes_[cell].next == kNone || found.cells.size() > nodes_.size()) {
+            throw std::logic_error("D* Lite lost its path");  // rather than walk off the grid or for ever
+          }
         }
       }
     }

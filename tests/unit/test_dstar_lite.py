@@ -161,7 +161,29 @@ def test_what_is_outside_changes_nothing():
         its.move((0, 5))
     with pytest.raises(ValueError, match="costs"):
         its.change([(0, 2)], [1.0, 1.0])
+    with pytest.raises(ValueError, match="1e6"):
+        its.change([(0, 2), (0, 3)], [math.inf, 2e6])
     assert its.move((0, 0)).cost == 4.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_costs_that_swallow_cheap_steps_are_refused_and_all_others_work(seed):
+    random = np.random.default_rng(seed)
+    values = np.array([1.0, 1.0, 1.3, 1e3, 1e6, math.inf], dtype=np.float32)
+    cost = random.choice(values, (40, 40))
+    cost[0, 0] = cost[39, 39] = 1.0
+    its = DStarLite(cost)
+    its.plan((0, 0), (39, 39))
+    for _ in range(100):
+        cells = random.permutation(1600)[:6]
+        new = random.choice(values, 6)
+        cost.flat[cells] = new
+        its.change(np.column_stack(np.unravel_index(cells, cost.shape)), new)
+        result, fresh = its.move((0, 0)), search(cost, (0, 0), (39, 39))
+        assert result.found == fresh.found
+        assert result.cost == pytest.approx(fresh.cost, rel=1e-12)
+    with pytest.raises(ValueError, match="1e6"):
+        DStarLite(np.full((2, 2), 1.1e6, dtype=np.float32))
 
 
 def test_the_callers_array_is_its_own():

@@ -26,10 +26,11 @@ class DStarLite:
     """Plans on one grid whose costs change; compiled, and other threads run meanwhile.
 
     Args:
-        cost: (H, W) float32 as of :mod:`hitchhike_ros.planning.astar`; copied.
+        cost: (H, W) float32 as of :mod:`hitchhike_ros.planning.astar`, passable cells of at most 10⁶; copied.
 
     Raises:
         TypeError: ``cost`` is not a contiguous float32 array.
+        ValueError: a passable cell costs more than 10⁶: sums of such costs lose what cheap steps add to them.
     """
 
     def __init__(self, cost: CostArray) -> None:
@@ -59,7 +60,7 @@ class DStarLite:
 
         Raises:
             IndexError: a cell is outside the grid; then nothing has changed.
-            ValueError: there are not as many costs as cells.
+            ValueError: there are not as many costs as cells, or one is above the limit; then nothing has changed.
         """
         self._search.change(np.asarray(cells, dtype=np.int64).reshape(-1, 2), np.asarray(costs, dtype=np.float32))
 
@@ -97,7 +98,7 @@ class RepairedSearch:
 _DIAGONAL = math.sqrt(2.0)
 # The heuristic is this much of the octile distance: on free grids f is the same all along a path, and rounding must not
 # end the search before a cell of the path whose g is out of date.
-_OF_OCTILE = 1.0 - 1e-6
+_OF_OCTILE = 1.0 - 1e-3
 
 _Key = tuple[float, float]
 
