@@ -6,17 +6,22 @@ import math
 import sys
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from path_checks import check_path, is_passable
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from hitchhike_ros.planning.astar import SearchResult, search, search_reference
+from hitchhike_ros.mapping.grid import FREE
+from hitchhike_ros.mapping.moving_ai import load_moving_ai_map, load_scenarios
+from hitchhike_ros.planning.astar import search, search_reference
+from hitchhike_ros.planning.dstar_lite import DStarLite
 
 SEARCHES = pytest.mark.parametrize("find", [search, search_reference])
 
@@ -33,26 +38,6 @@ def problems(draw):
     cost = draw(hnp.arrays(np.float32, shape, elements=costs.map(np.float32)))
     start, goal = (tuple(draw(st.integers(0, n - 1)) for n in shape) for _ in range(2))
     return cost, start, goal
-
-
-def is_passable(cost: np.ndarray) -> np.ndarray:
-    return (cost >= 1) & np.isfinite(cost)
-
-
-def check_path(cost: np.ndarray, start, goal, result: SearchResult) -> None:
-    """The path joins start and goal, is free, cuts no corner and costs what it says."""
-    cells = result.cells
-    passable = is_passable(cost)
-    assert tuple(cells[0]) == start
-    assert tuple(cells[-1]) == goal
-    assert passable[tuple(cells.T)].all()
-    steps = np.diff(cells, axis=0)
-    assert (np.abs(steps).max(axis=1) == 1).all()
-    assert passable[cells[:-1, 0], cells[1:, 1]].all()
-    assert passable[cells[1:, 0], cells[:-1, 1]].all()
-    along = cost[tuple(cells.T)].astype(float)
-    total = (np.hypot(*steps.T) * (along[:-1] + along[1:]) / 2).sum()
-    assert result.cost == pytest.approx(total, abs=1e-9)
 
 
 def dijkstra_cost(cost: np.ndarray, start, goal) -> float:
@@ -194,11 +179,9 @@ def test_moving_ai_scenarios_have_the_optimal_length(shared_data, name):
     file = shared_data / "movingai" / f"{name}.map"
     if not file.exists():
         pytest.skip(f"{file} is not there")
-    lines = file.read_text().splitlines()
-    rows = [line for line in lines[lines.index("map") + 1 :] if line]
-    cost = np.array([[1.0 if c in ".G" else np.inf for c in row] for row in rows], dtype=np.float32)
-    scenarios = [line.split() for line in file.with_suffix(".map.scen").read_text().splitlines()[1:] if line.strip()]
-    for fields in scenarios[:: max(1, len(scenarios) // 25)]:
-        start_x, start_y, goal_x, goal_y = (int(value) for value in fields[4:8])
-        result = search(cost, (start_y, start_x), (goal_y, goal_x))
-        assert result.cost == pytest.approx(float(fields[8]), abs=0.006)
+    cost = np.where(load_moving_ai_map(file).data == FREE, 1, np.inf).astype(np.float32)
+    scenarios = load_scenarios(file.with_suffix(".map.scen"))
+    its = DStarLite(cost)
+    for scenario in scenarios[:: max(1, len(scenarios) // 25)]:
+        for plan in (partial(search, cost), its.plan):
+            assert plan(scenario.start, scenario.goal).cost == pytest.approx(scenario.length, abs=0.006)

@@ -12,7 +12,7 @@ import pytest
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.errors import MapFileError
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.map_file import load_map, save_map
+from hitchhike_ros.mapping.map_file import load_map, save_map, trinary
 
 FIELDS = {
     "image": "map.png",
@@ -121,6 +121,26 @@ def test_a_grid_with_values_between_loses_nothing(tmp_path):
     np.testing.assert_array_equal(load_map(tmp_path / "map.yaml").data, grid.data)
 
 
+def test_what_map_saver_makes_of_probabilities():
+    grid = OccupancyGrid(np.array([[-1, 0, 25, 26, 64, 65, 100]], dtype=np.int8), 0.1, Pose2D(1.0, 2.0, 0.5))
+    assert trinary(grid).data.tolist() == [[-1, 0, 0, -1, -1, 100, 100]]
+    assert trinary(grid, 0, 26).data.tolist() == [[-1, 0, -1, 100, 100, 100, 100]]
+    assert (trinary(grid).resolution, trinary(grid).origin) == (grid.resolution, grid.origin)
+
+
+@pytest.mark.parametrize("name", ["#1.yaml", "a: b.yaml", "größer.yaml", "map.v2.yaml", "x" * 120 + " y.yaml"])
+def test_any_name_can_be_read_again(tmp_path, name):
+    save_map(OccupancyGrid(np.zeros((2, 3)), 0.1), tmp_path / name)
+    assert load_map(tmp_path / name).width == 3
+
+
+def test_the_packages_own_map_is_what_the_saver_writes(tmp_path):
+    maps = Path(__file__).resolve().parents[2] / "maps"
+    save_map(load_map(maps / "p17_exp1.yaml"), tmp_path / "p17_exp1.yaml")
+    for name in ("p17_exp1.yaml", "p17_exp1.pgm"):
+        assert (tmp_path / name).read_bytes() == (maps / name).read_bytes()
+
+
 def test_a_map_that_cannot_be_written(tmp_path):
     with pytest.raises(MapFileError, match=r"missing/map\.pgm"):
         save_map(OccupancyGrid(np.zeros((2, 2)), 0.1), tmp_path / "missing" / "map.yaml")
@@ -181,10 +201,12 @@ def test_files_that_are_no_maps(tmp_path):
         load_map(path)
 
 
-def test_willow_garage(shared_data):
+def test_willow_garage(shared_data, tmp_path):
     path = shared_data / "maps" / "willow-2010-02-18-0.10.yaml"
     if not path.exists():
         pytest.skip("the Willow Garage map is not there")
     grid = load_map(path)
     assert (grid.height, grid.width, grid.resolution) == (608, 566, 0.1)
     assert {value: int((grid.data == value).sum()) for value in (-1, 0, 100)} == {-1: 234377, 0: 109207, 100: 544}
+    save_map(grid, tmp_path / "willow.yaml")
+    np.testing.assert_array_equal(load_map(tmp_path / "willow.yaml").data, grid.data)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from hitchhike_ros.datatypes import Pose2D, Positive, UnitInterval
 from hitchhike_ros.errors import MapFileError
@@ -73,7 +74,7 @@ def save_map(grid: OccupancyGrid, path: Path | str) -> None:
     header = f"P5\n# CREATOR: hitchhike_ros {grid.resolution:.3f} m/pix\n{grid.width} {grid.height}\n255\n"
     origin = ", ".join(repr(float(value)) for value in (grid.origin.x, grid.origin.y, grid.origin.theta))
     lines = [
-        f"image: {image.name}",
+        yaml.safe_dump({"image": image.name}, allow_unicode=True, width=math.inf).strip(),  # quoted where it has to be
         f"resolution: {float(grid.resolution)!r}",
         f"origin: [{origin}]",
         "negate: 0",
@@ -86,6 +87,16 @@ def save_map(grid: OccupancyGrid, path: Path | str) -> None:
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as exc:
         raise MapFileError(exc.filename, "", exc.strerror, "a file that can be written") from exc
+
+
+def trinary(grid: OccupancyGrid, free_percent: int = 25, occupied_percent: int = 65) -> OccupancyGrid:
+    """``grid`` with free, occupied and unknown cells only, told apart as map_saver does; the defaults are its own.
+
+    Cells up to ``free_percent`` are free, from ``occupied_percent`` on occupied, all others unknown.
+    """
+    free = (grid.data >= 0) & (grid.data <= free_percent)
+    data = np.select([free, grid.data >= occupied_percent], [FREE, OCCUPIED], UNKNOWN).astype(np.int8)
+    return replace(grid, data=data)
 
 
 def _read_description(path: Path) -> _MapYaml:

@@ -1,4 +1,4 @@
-"""Paths through the map for one robot: inflated grid, A*, light smoothing."""
+"""Paths through the map for one robot: inflated grid, a search that is repaired as boxes come and go, smoothing."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 from hitchhike_ros.datatypes import FloatArray, Pose2D
 from hitchhike_ros.errors import GoalBlockedError, OutsideMapError, StartBlockedError, UnreachableError
 from hitchhike_ros.mapping.grid import CellArray, OccupancyGrid
-from hitchhike_ros.planning.astar import Cell, CostArray, search
+from hitchhike_ros.planning.astar import Cell, CostArray
 from hitchhike_ros.planning.costmap import Costmap, CostmapParameters, build_costmap, label_regions
+from hitchhike_ros.planning.dstar_lite import RepairedSearch
 from hitchhike_ros.robot_model import RobotLimits
 
 
@@ -25,11 +26,12 @@ class GlobalPlannerParameters(CostmapParameters):
 
 
 class GlobalPlanner:
-    """Plans on one grid after another and keeps the inflation of the last one."""
+    """Plans on one grid after another and keeps the inflation of the last one, and the search for the last goal."""
 
     def __init__(self, params: GlobalPlannerParameters, limits: RobotLimits) -> None:
         self._params, self._limits = params, limits
         self._costmap: Costmap | None = None
+        self._search = RepairedSearch()
 
     def costmap(self, grid: OccupancyGrid) -> Costmap:
         """The inflated ``grid``; computed once for the same grid object."""
@@ -91,7 +93,7 @@ class GlobalPlanner:
                 f"that is {2 * costmap.lethal_m:.2f} m wide"
             )
         ends = np.array([(start.x, start.y), (goal.x, goal.y)])
-        path = _smooth(search(cost, start_cell, goal_cell).cells, costmap, self._params)
+        path = _smooth(self._search(cost, start_cell, goal_cell).cells, costmap, self._params)
         return np.vstack([ends[:1], grid.cell_to_world(path[1:-1]), ends[1:]])
 
 
