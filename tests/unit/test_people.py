@@ -1,5 +1,6 @@
 """People of the simulated world: where they walk, whom they stop for, and what a robot sees and touches of them."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,19 @@ def test_they_stop_for_a_robot_in_front_and_for_no_other() -> None:
     robots = {"front": Pose2D(0.7, 0.2), "far": Pose2D(0.9, 0.0), "beside": Pose2D(0.0, 0.5), "behind": Pose2D(-0.5)}
     moved = {name: Walker(CORNER).step(2.0, 0.1, [pose]) for name, pose in robots.items()}
     assert moved == {"front": False, "far": True, "beside": True, "behind": True}
+
+
+def test_they_turn_back_when_a_robot_stays_in_front() -> None:
+    walker = Walker(CORNER)
+    for _ in range(10):
+        walker.step(2.0, 0.1, [])
+    places = []
+    for _ in range(30):
+        walker.step(2.0, 0.1, [Pose2D(1.0, 0.0)])
+        places.append(walker.pose)
+    assert [place.x for place in places[:20]] == pytest.approx([0.5] * 20)
+    assert math.cos(places[21].theta) == -1.0
+    assert places[-1].x < 0.2
 
 
 def test_the_laser_sees_them_and_they_push_nobody(tmp_path: Path) -> None:

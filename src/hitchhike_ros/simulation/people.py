@@ -1,8 +1,8 @@
 """People in the simulated world: cylinders that walk to and fro along a path of straight pieces.
 
 They are kinematic: they push nobody and nobody pushes them; that they and a robot touch is counted as the robot's
-contact. A person stops while a robot is close in front of him, as people do, and walks on when it has gone; who comes
-from the side or from behind is not looked at, so a robot must still stop for people.
+contact. A person stops while a robot is close in front of him, as people do, and walks on when it has gone, or turns
+back after a while; a robot at his side or behind him he does not look at, so a robot must still stop for people.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive
 RADIUS_M, HEIGHT_M = 0.25, 1.7
 # Somebody stops for a robot whose centre is nearer than this and within this bearing of where he walks (chosen).
 _STOP_M, _STOP_RAD = 0.8, math.radians(50.0)
+_PATIENCE_S = 2.0  # then he turns back (chosen)
 _COLOUR = (0.25, 0.35, 0.60, 1.0)
 
 
@@ -36,27 +37,34 @@ class Walker:
     """Where a person is on the way."""
 
     def __init__(self, person: Person) -> None:
-        self.person, self._walked = person, 0.0
-        points = np.asarray(person.path, dtype=float)
-        self._points: FloatArray = np.vstack([points, points[-2::-1]])
-        self._arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._points, axis=0).T))])
+        self.person = person
+        self._points = np.asarray(person.path, dtype=float)
+        self._arc: FloatArray = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._points, axis=0).T))])
+        self._s, self._sense, self._waited = 0.0, 1.0, 0.0
 
     @property
     def pose(self) -> Pose2D:
         """Place in ``map`` and the direction in which he walks."""
-        s = self._walked % self._arc[-1]
-        piece = min(int(np.searchsorted(self._arc, s, side="right")) - 1, len(self._arc) - 2)
-        (x1, y1), (x2, y2) = self._points[piece], self._points[piece + 1]
-        share = (s - self._arc[piece]) / (self._arc[piece + 1] - self._arc[piece])
-        return Pose2D(
-            float(x1 + share * (x2 - x1)), float(y1 + share * (y2 - y1)), float(math.atan2(y2 - y1, x2 - x1))
-        )
+        piece = min(int(np.searchsorted(self._arc, self._s, side="right")) - 1, len(self._arc) - 2)
+        along = self._points[piece + 1] - self._points[piece]
+        share = (self._s - self._arc[piece]) / (self._arc[piece + 1] - self._arc[piece])
+        x, y = self._points[piece] + share * along
+        return Pose2D(float(x), float(y), math.atan2(self._sense * along[1], self._sense * along[0]))
 
     def step(self, now: float, dt: float, robots: Iterable[Pose2D]) -> bool:
-        """Walk for ``dt`` s unless a robot is in front; whether he has moved."""
-        if now < self.person.start_s or any(in_front(self.pose, robot) for robot in robots):
+        """Walk for ``dt`` s, or wait for the robot in front; whether he has moved."""
+        if now < self.person.start_s:
             return False
-        self._walked += self.person.speed_mps * dt
+        if any(in_front(self.pose, robot) for robot in robots):
+            self._waited += dt
+            if self._waited > _PATIENCE_S:
+                self._sense, self._waited = -self._sense, 0.0
+            return False
+        self._waited = 0.0
+        s, end = self._s + self._sense * self.person.speed_mps * dt, float(self._arc[-1])
+        if not 0.0 <= s <= end:
+            s, self._sense = -s if s < 0.0 else 2.0 * end - s, -self._sense
+        self._s = s
         return True
 
 

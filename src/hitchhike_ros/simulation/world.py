@@ -143,7 +143,7 @@ class World:
         return tuple(sorted((c for r in self.robots.values() for c in r.contacts()), key=lambda contact: contact.stamp))
 
     def reset(self) -> None:
-        """Robots and people back to their starts, boxes as in the world file, noise as at the beginning; time goes on."""
+        """Robots and people back to their starts, boxes as in the file, noise as at the beginning; time goes on."""
         for robot in self.robots.values():
             robot.reset()
         for box_id in list(self._boxes):
