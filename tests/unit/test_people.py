@@ -27,9 +27,15 @@ def test_they_walk_there_and_back_from_their_time_on() -> None:
 
 
 def test_they_stop_for_a_robot_in_front_and_for_no_other() -> None:
-    robots = {"front": Pose2D(0.7, 0.2), "far": Pose2D(0.9, 0.0), "beside": Pose2D(0.0, 0.5), "behind": Pose2D(-0.5)}
+    robots = {
+        "front": Pose2D(0.7, 0.2),
+        "side": Pose2D(0.1, 0.6),
+        "far": Pose2D(0.9, 0.0),
+        "beside": Pose2D(0.3, 0.7),
+        "behind": Pose2D(-0.1, 0.5),
+    }
     moved = {name: Walker(CORNER).step(2.0, 0.1, [pose]) for name, pose in robots.items()}
-    assert moved == {"front": False, "far": True, "beside": True, "behind": True}
+    assert moved == {"front": False, "side": False, "far": True, "beside": True, "behind": True}
 
 
 def test_they_turn_back_when_a_robot_stays_in_front() -> None:
@@ -37,11 +43,11 @@ def test_they_turn_back_when_a_robot_stays_in_front() -> None:
     for _ in range(10):
         walker.step(2.0, 0.1, [])
     places = []
-    for _ in range(30):
+    for _ in range(20):
         walker.step(2.0, 0.1, [Pose2D(1.0, 0.0)])
         places.append(walker.pose)
-    assert [place.x for place in places[:20]] == pytest.approx([0.5] * 20)
-    assert math.cos(places[21].theta) == -1.0
+    assert [place.x for place in places[:10]] == pytest.approx([0.5] * 10)
+    assert math.cos(places[11].theta) == -1.0
     assert places[-1].x < 0.2
 
 
@@ -63,7 +69,7 @@ def test_somebody_who_meets_a_robot_stops_before_it_and_whoever_is_pushed_into_i
         before, _ = world.robots["r"].ground_truth()
         world.run(2.0)
         after, _ = world.robots["r"].ground_truth()
-        assert 2.0 - world.people[0].walker.pose.y == pytest.approx(0.8, abs=0.01)
+        assert 2.0 - world.people[0].walker.pose.y >= 0.79
         assert [(c.robot, c.other) for c in world.contacts()] == [("r", "eve")]
         assert distance(before, after) < 0.01
 

@@ -2,7 +2,7 @@
 
 They are kinematic: they push nobody and nobody pushes them; that they and a robot touch is counted as the robot's
 contact. A person stops while a robot is close in front of him, as people do, and walks on when it has gone, or turns
-back after a while; a robot at his side or behind him he does not look at, so a robot must still stop for people.
+back after a while. He looks no farther than a step, so a robot must still stop for people.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ import pybullet as p
 from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive
 
 RADIUS_M, HEIGHT_M = 0.25, 1.7
-# Somebody stops for a robot whose centre is nearer than this and within this bearing of where he walks (chosen).
-_STOP_M, _STOP_RAD = 0.8, math.radians(50.0)
-_PATIENCE_S = 2.0  # then he turns back (chosen)
+# Somebody stops for a robot whose centre is nearer than this and within this bearing of where he walks, or still nearer
+# and anywhere before him (chosen; no robot's corner is farther than 0.4 m from its centre).
+_STOP_M, _STOP_RAD, _BESIDE_M = 0.8, math.radians(50.0), 0.7
+_PATIENCE_S = 1.0  # then he turns back (chosen)
 _COLOUR = (0.25, 0.35, 0.60, 1.0)
 
 
@@ -112,4 +113,5 @@ def in_front(person: Pose2D, robot: Pose2D) -> bool:
     """Whether a robot is so close in front of a person that he stops for it."""
     x, y = robot.x - person.x, robot.y - person.y
     ahead = x * math.cos(person.theta) + y * math.sin(person.theta)
-    return math.hypot(x, y) < _STOP_M and ahead > math.cos(_STOP_RAD) * math.hypot(x, y)
+    away = math.hypot(x, y)
+    return (away < _BESIDE_M and ahead > 0.0) or (away < _STOP_M and ahead > math.cos(_STOP_RAD) * away)
