@@ -106,6 +106,20 @@ def test_people_who_walk_leave_nothing(grid, walk):
     assert mapper.obstacles == ()
 
 
+def test_who_walks_close_by_a_box_does_not_stretch_it(grid):
+    """Not even while he does: what the robot saw last is what it keeps."""
+    mapper, sizes = NewObstacleMapper(grid, MappingParameters(laser=LaserNoise(0.01, 0.01))), set()
+
+    def things(t: float) -> list[Obstacle]:
+        sizes.update((box.w, box.b) for box in mapper.obstacles)
+        return [BOXES[0], person(13.0 - 0.6 * t, 5.85)]
+
+    ride(grid, PAST_FIRST, things, mapper)
+    assert sizes
+    assert max(w for w, _ in sizes) < BOXES[0].w + 0.05
+    assert max(b for _, b in sizes) < BOXES[0].b + 0.05
+
+
 @pytest.mark.parametrize("arrival", [0.0, 2.0, 5.0])
 def test_who_stops_for_three_seconds_is_never_a_box(grid, arrival):
     mapper, told = NewObstacleMapper(grid, MappingParameters()), set()

@@ -346,6 +346,44 @@ def _walled(_start: Pose2D, _goal: Pose2D) -> FloatArray:
     raise UnreachableError("no way")
 
 
+@pytest.mark.parametrize("may_ride", [True, False])
+def test_the_outcome_of_a_goal_is_known_when_its_way_ends_and_not_before(may_ride: bool) -> None:
+    traveller = _traveller(may_ride=may_ride)
+    assert traveller.outcome == (False, "")
+    traveller.step(GoalGiven(RIDER_GOAL), 1.0)
+    assert traveller.outcome is None  # not even begun
+    for now in (1.0, 1.1):
+        traveller.step(_here(now), now)
+    assert traveller.outcome is None
+    assert traveller.rides is may_ride
+    if may_ride:
+        traveller.step(_here(70.0), 70.0)  # nobody has come
+        assert not traveller.rides
+        assert traveller.outcome is None
+    goal = traveller.status(70.0).goal
+    assert goal is not None
+    report = NavigationReport(goal.id, "arrived")
+    traveller.step(Tick(replace(_here(71.0).situation, navigation=report)), 71.0)
+    assert traveller.outcome == (True, "Goal reached")
+    traveller.step(GoalGiven(RIDER_GOAL), 72.0)
+    assert traveller.outcome is None
+    traveller.step(GoalCancelled(), 73.0)
+    assert traveller.outcome == (False, "Goal cancelled")
+
+
+def test_a_robot_that_is_stuck_gives_up_and_says_why() -> None:
+    traveller = _traveller(may_ride=False)
+    traveller.step(GoalGiven(RIDER_GOAL), 1.0)
+    traveller.step(_here(1.0), 1.0)
+    goal = traveller.status(1.0).goal
+    assert goal is not None
+    for now in (2.0, 30.9, 31.2):
+        assert traveller.outcome is None
+        report = NavigationReport(goal.id, "blocked", "no way past an obstacle")
+        traveller.step(Tick(replace(_here(now).situation, navigation=report)), now)
+    assert traveller.outcome == (False, "Navigation failed: no way past an obstacle")
+
+
 @pytest.mark.parametrize(
     ("params", "planner", "goal", "rides"),
     [

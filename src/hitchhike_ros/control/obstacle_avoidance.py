@@ -2,7 +2,8 @@
 
 One step: the scan becomes obstacle points (:mod:`obstacle_memory`) and a field of distances (:mod:`clearance`); the
 path is shifted around them (:mod:`detour`); motions that the robot can make (:mod:`dynamic_window`) are refused when it
-could not brake before contact, and scored along the shifted path.
+could not brake before contact, and scored along the shifted path. Where that leads nowhere, the steps of
+:mod:`recovery` follow one another, and the state is ``blocked`` until there is a way again.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from hitchhike_ros.control.clearance import ClearanceField, Footprint
 from hitchhike_ros.control.detour import Detour, DetourPlanner
 from hitchhike_ros.control.dynamic_window import brake, roll_out, window
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
+from hitchhike_ros.control.recovery import Recovery, RecoveryStep
 from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
 from hitchhike_ros.errors import PlanningError, SensorDataError
@@ -52,6 +54,13 @@ class ObstacleAvoidanceParameters:
     near_memory_s: Positive = 15.0  # for what the turning footprint could touch
     blocked_after_s: Positive = 1.0  # standing without a way on
     no_progress_s: Positive = 15.0
+    # Recovery, step by step; a person has often passed while it waits.
+    recovery_wait_s: Positive = 5.0
+    recovery_clear_s: Positive = 1.0
+    recovery_turn_s: Positive = 8.0  # once round
+    recovery_yaw_rate_rps: Positive = 0.8
+    recovery_replan_s: Positive = 4.0  # longer than path_planning takes to try again
+    recovery_calm_s: Positive = 3.0  # after driving for so long the next block is a new one
     progress_weight: NonNegative = 1.0
     lateral_weight: NonNegative = 0.6
     heading_weight: NonNegative = 0.4
@@ -118,17 +127,27 @@ class ObstacleAvoidance:
         self._detour_planner = DetourPlanner(limits.radius_m or limits.half_width_m, params.margin_m, params.comfort_m)
         self._memory = ObstacleMemory(params.memory_s, params.near_memory_s, self._footprint)
         self._times = params.rollout_step_s * np.arange(1, math.ceil(params.horizon_s / params.rollout_step_s) + 1)
+        table = (
+            RecoveryStep("wait", params.recovery_wait_s, "waiting"),
+            RecoveryStep("clear", params.recovery_clear_s, "forgetting obstacles out of view"),
+            RecoveryStep("turn", params.recovery_turn_s, "turning to look"),
+            RecoveryStep("replan", params.recovery_replan_s, "waiting for another plan"),
+        )
+        self._recovery = Recovery(table, params.recovery_calm_s)
         self._command, self._commanded_at = Twist2D(), -math.inf
         self._leg: _Leg | None = None
 
     def clear(self) -> None:
         """Forget path and goal; what is known of obstacles stays."""
         self._leg = None
+        self._recovery.reset()
 
     def set_path(
         self, path: FloatArray, goal: Pose2D, tolerance_m: float | None = None, tolerance_rad: float | None = None
     ) -> None:
         """Drive along ``path`` (N, 2) to ``goal``, both in ``map``; the tolerances default to the parameters'.
+
+        Another path to the same goal does not make a robot that is blocked an unblocked one until it moves.
 
         Raises:
             PlanningError: the path is not finite points, or does not end at the goal.
@@ -144,7 +163,11 @@ class ObstacleAvoidance:
             raise PlanningError(f"path ends {gap:.2f} m from the goal")
         if gap > 0.0:
             reference = ReferencePath(np.vstack([points, (goal.x, goal.y)]))
-        self._leg = _Leg(reference, goal, tolerance_m, tolerance_rad)
+        before, self._leg = self._leg, _Leg(reference, goal, tolerance_m, tolerance_rad)
+        if before is not None and before.goal == goal:
+            self._leg.moved_at = before.moved_at
+        else:
+            self._recovery.reset()
 
     def step(
         self,
@@ -161,14 +184,8 @@ class ObstacleAvoidance:
         ``pose`` (in ``map``) and ``twist`` are those at the scan's stamp; ``speed_limit`` in m/s; ``gentle`` while a
         hitchhiker follows. Inputs that are not finite, too old or empty give a stand with state ``blocked``.
         """
-        if not (math.isfinite(now) and pose.is_finite() and twist.is_finite()):
-            return self._stand("blocked", "pose or twist is not finite")
-        if not speed_limit >= 0.0:
-            return self._stand("blocked", f"speed limit is {speed_limit}")
-        if not abs(now - scan.stamp) <= self._params.max_age_s:
-            return self._stand("blocked", f"scan is {now - scan.stamp:.2f} s old")
         try:
-            points = scan_points(scan, self._params.max_nan_fraction)
+            points = self._usable_points(now, pose, twist, scan, speed_limit)
         except SensorDataError as exc:
             return self._stand("blocked", str(exc))
         points = self._memory.update(scan, points, pose, T_base_laser)
@@ -182,7 +199,46 @@ class ObstacleAvoidance:
             return self._stand("driving", "speed limit is zero")
         limits = self._rider_limits if gentle else self._limits
         limits = replace(limits, max_speed_mps=min(limits.max_speed_mps, speed_limit))
-        return self._drive(leg, now, pose, twist, ClearanceField(points), limits, gentle)
+        field = ClearanceField(points)
+        before = self._command
+        decision = self._drive(leg, now, pose, twist, field, limits, gentle)
+        recovery = self._recovery.step(now, decision.state == "blocked")
+        if recovery is None:
+            return decision
+        reason = f"{decision.reason}; {recovery.says}"
+        if recovery.action == "clear":
+            self._memory.forget_far(pose)
+            leg.detour = None
+        turning = None
+        if recovery.action == "turn" and not gentle:  # whoever follows behind would lose the marker
+            self._command = before
+            turning = self._look_around(now, twist, field, limits)
+        return self._stand("blocked", reason) if turning is None else Decision(turning, "blocked", reason)
+
+    def _usable_points(
+        self, now: float, pose: Pose2D, twist: Twist2D, scan: LaserScan, speed_limit: float
+    ) -> FloatArray:
+        """The scan's points (N, 2) in the laser's frame.
+
+        Raises:
+            SensorDataError: something is not finite, too old or empty.
+        """
+        if not (math.isfinite(now) and pose.is_finite() and twist.is_finite()):
+            raise SensorDataError("pose or twist is not finite")
+        if not speed_limit >= 0.0:
+            raise SensorDataError(f"speed limit is {speed_limit}")
+        if not abs(now - scan.stamp) <= self._params.max_age_s:
+            raise SensorDataError(f"scan is {now - scan.stamp:.2f} s old")
+        return scan_points(scan, self._params.max_nan_fraction)
+
+    def _look_around(self, now: float, twist: Twist2D, field: ClearanceField, limits: RobotLimits) -> Twist2D | None:
+        """A slow turn on the spot; None without room for one."""
+        clearance = float(field.clearance(self._footprint, np.zeros(3)))
+        if clearance <= 0.02:
+            return None
+        limits = replace(limits, max_yaw_rate_rps=min(limits.max_yaw_rate_rps, self._params.recovery_yaw_rate_rps))
+        target = self._turn(1.0, twist, field, min(self._params.margin_m, clearance - 0.005), limits)
+        return None if target is None else self._ramp(now, twist, target, limits)
 
     def _drive(
         self,

@@ -55,6 +55,11 @@ class ObstacleMemory:
         self._points: FloatArray = np.empty((0, 2))
         self._stamps: FloatArray = np.empty(0)
 
+    def forget_far(self, pose: Pose2D) -> None:
+        """Forget what the footprint could not touch by turning at ``pose`` (in ``map``); scans tell what is there."""
+        near = np.hypot(self._points[:, 0] - pose.x, self._points[:, 1] - pose.y) < self._near_m
+        self._points, self._stamps = self._points[near], self._stamps[near]
+
     def update(self, scan: LaserScan, points_laser: FloatArray, pose: Pose2D, T_base_laser: Pose2D) -> FloatArray:
         """Take in a scan made at ``pose`` (in ``map``); its and the remembered points (N, 2) in the base frame."""
         if self._stamps.size and scan.stamp < self._stamps.max():

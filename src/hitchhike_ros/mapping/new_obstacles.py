@@ -37,6 +37,7 @@ class MappingParameters:
     max_score: Positive = 10.0  # so many beams through a cell remove it, however long it stood there
     min_scans: int = 8
     min_age_s: Positive = 3.6  # longer than a person who stops for three seconds covers a cell
+    passing_s: NonNegative = 1.2  # longer than somebody who walks at 0.5 m/s covers a cell
     min_view_gap_m: Positive = 0.5
     min_cells: int = 4  # that fulfil all three
     merge_gap_m: Positive = 0.10
@@ -198,7 +199,10 @@ class NewObstacleMapper:
         self._cells = cells.joined(_Cells.fresh(keys[~known], weight[~known], stamp, view))
 
     def _find_boxes(self) -> None:
-        p, cells = self._parameters, self._cells
+        p = self._parameters
+        # Who walks past a box is no part of it.
+        passing = self._cells.last_stamp - self._cells.first_stamp < p.passing_s
+        cells = self._cells.select(~passing | (self._cells.scans == 0))
         centres = self._centres(cells.keys)
         sure = (cells.scans >= p.min_scans) & (cells.last_stamp - cells.first_stamp >= p.min_age_s) & cells.apart
         boxes: dict[str, Obstacle] = {}

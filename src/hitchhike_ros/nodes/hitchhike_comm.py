@@ -2,8 +2,7 @@
 
 Subscribed (in the robot's namespace unless absolute):
     /hhike_msg/network (std_msgs/String): JSON messages of all robots
-    move_base_simple/goal (geometry_msgs/PoseStamped): where the robot is wanted, in ``map``
-    move_base/cancel (actionlib_msgs/GoalID): withdraw the goal
+    move_base_simple/goal (geometry_msgs/PoseStamped): where the robot is wanted, in ``map``; forwarded to the action
     amcl_pose (geometry_msgs/PoseWithCovarianceStamped), odom (nav_msgs/Odometry), map (nav_msgs/OccupancyGrid)
     new_obstacles (std_msgs/String): boxes that the own slam found
     path_planning/status, navigation/status (std_msgs/String): how the goal fares
@@ -15,6 +14,9 @@ Published:
     hhike_msg/award (std_msgs/String, latched): the points of the newest ride that this robot drove
     initialpose (geometry_msgs/PoseWithCovarianceStamped): the pose taken over from a driver
     /diagnostics (diagnostic_msgs/DiagnosticArray)
+Action:
+    move_base (move_base_msgs/MoveBaseAction): drives or rides to a pose in ``map``, with feedback at each step; a new
+        goal preempts the one before, a cancel stops the robot, and an abort's text says why
 Parameters:
     ~config (path), sections ``hitchhiking`` (protocol.parameters.HitchhikingParameters) and ``robot``
     ~urdf (path): mounts of camera and marker
@@ -35,8 +37,7 @@ from typing import Any
 
 import msgspec
 import rospy
-from actionlib_msgs.msg import GoalID
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from std_msgs.msg import String
@@ -52,8 +53,6 @@ from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
     Award,
     Effect,
-    GoalCancelled,
-    GoalGiven,
     NavigationReport,
     Report,
     Send,
@@ -74,8 +73,8 @@ from hitchhike_ros.ros_io.conversions import (
     estimate_to_msg,
     grid_from_msg,
     odometry_from_msg,
-    pose_from_msg,
 )
+from hitchhike_ros.ros_io.move_base import MoveBaseServer
 from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 
@@ -107,6 +106,7 @@ class HitchhikeComm:
         self._events: deque[object] = deque()
         self._grid: OccupancyGrid | None = None
         self._situation = Situation()
+        self._navigation = self._planning = NavigationReport("", "idle")
         self._odometry = OdometryHistory()
         self._estimate: PoseEstimate | None = None
         self._observations: tuple[MarkerObservation, ...] = ()
@@ -121,8 +121,6 @@ class HitchhikeComm:
         self._initialpose = rospy.Publisher("initialpose", PoseWithCovarianceStamped, queue_size=10)
         subscriptions: tuple[tuple[str, Any, Any], ...] = (
             ("/hhike_msg/network", String, self._on_network),
-            ("move_base_simple/goal", PoseStamped, self._on_goal),
-            ("move_base/cancel", GoalID, self._on_cancel),
             ("amcl_pose", PoseWithCovarianceStamped, self._on_estimate),
             ("odom", OdometryMsg, self._on_odometry),
             ("map", OccupancyGridMsg, self._on_map),
@@ -135,6 +133,7 @@ class HitchhikeComm:
             rospy.Subscriber(topic, cls, callback, queue_size=50 if cls is String else 1, tcp_nodelay=True)
             for topic, cls, callback in subscriptions
         ]
+        self._move_base = MoveBaseServer()
         self._timer = rospy.Timer(rospy.Duration(1.0 / float(rospy.get_param("~rate", 10.0))), self._step, reset=True)
 
     # Callbacks store.
@@ -149,18 +148,6 @@ class HitchhikeComm:
         if message is not None:
             with self._lock:
                 self._events.append(message)
-
-    def _on_goal(self, msg: PoseStamped) -> None:
-        goal = pose_from_msg(msg.pose)
-        if not goal.is_finite() or msg.header.frame_id.strip("/") not in ("map", ""):
-            self._drop("goal", f"goal in frame {msg.header.frame_id!r} at {goal}, expected finite and in 'map'")
-            return
-        with self._lock:
-            self._events.append(GoalGiven(goal))
-
-    def _on_cancel(self, _msg: GoalID) -> None:
-        with self._lock:
-            self._events.append(GoalCancelled())
 
     def _on_estimate(self, msg: PoseWithCovarianceStamped) -> None:
         with self._lock:
@@ -194,13 +181,13 @@ class HitchhikeComm:
         report = self._decode(msg.data, NavigationReport, "navigation/status")
         if report is not None:
             with self._lock:
-                self._situation = replace(self._situation, navigation=report)
+                self._navigation = report
 
     def _on_planning(self, msg: String) -> None:
         report = self._decode(msg.data, NavigationReport, "path_planning/status")
-        if report is not None and report.state == "failed":
+        if report is not None:
             with self._lock:
-                self._situation = replace(self._situation, navigation=report)
+                self._planning = report
 
     def _on_observations(self, msg: String) -> None:
         try:
@@ -218,6 +205,8 @@ class HitchhikeComm:
         with self._lock:
             events, self._events = list(self._events), deque()
             estimate, observations, situation = self._estimate, self._observations, self._situation
+            # Without a plan there is nothing to say of driving along it.
+            navigation = self._planning if self._planning.state == "failed" else self._navigation
         if estimate is not None and now - estimate.stamp > _ESTIMATE_AGE_S:
             estimate = None
         servo = self._traveller.status(now).servo
@@ -225,11 +214,18 @@ class HitchhikeComm:
         with self._lock:
             seen_from = None if seen is None else self._odometry.at(seen.stamp)
             odom_pose = self._odometry.at(now)
-        tick = Tick(replace(situation, estimate=estimate, observation=seen, seen_from=seen_from, odom_pose=odom_pose))
-        for event in [*events, tick]:
+        situation = replace(situation, navigation=navigation, estimate=estimate)
+        tick = Tick(replace(situation, observation=seen, seen_from=seen_from, odom_pose=odom_pose))
+        wanted = self._move_base.poll()
+        for event in [*events, *([] if wanted is None else [wanted]), tick]:
             for effect in self._traveller.step(event, now):
                 self._carry_out(effect, now)
         self._publish_status(self._traveller.status(now))
+        if self._move_base.active:
+            if estimate is not None:
+                self._move_base.feed_back(estimate.pose, estimate.stamp)
+            if (outcome := self._traveller.outcome) is not None:
+                self._move_base.finish(*outcome)
 
     def _carry_out(self, effect: Effect, now: float) -> None:
         if isinstance(effect, Send):

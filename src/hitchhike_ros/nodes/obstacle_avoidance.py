@@ -11,7 +11,7 @@ Subscribed (the latter four only while the module is on):
 Published:
     cmd_vel/navigation (geometry_msgs/Twist): for each scan while there is a goal; one stand when that ends
     navigation/status (std_msgs/String, latched): JSON ``{"goal_id", "state", "reason"}``, state one of idle, driving,
-        arrived, blocked; when it changes
+        arrived, blocked (the reason ends with the step of recovery); when it changes
     lockstep/answer (std_msgs/Header): the stamp of each scan that has been worked on, when /lockstep is true
     /diagnostics (diagnostic_msgs/DiagnosticArray)
 Parameters:

@@ -6,7 +6,7 @@ from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.errors import PlanningError
 from hitchhike_ros.geometry import path_length
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.driver import DriverMachine, Planner
+from hitchhike_ros.protocol.driver import ARRIVED, DriverMachine, DriverState, Planner
 from hitchhike_ros.protocol.hitchhiker import HitchhikerMachine, HitchhikerState
 from hitchhike_ros.protocol.machine import Effect, GoalCancelled, GoalGiven, Send, Situation, Tick
 from hitchhike_ros.protocol.messages import Beacon, Message, PoseFields
@@ -46,6 +46,13 @@ class Traveller:
     @property
     def rides(self) -> bool:
         return self.hitchhiker.state is not HitchhikerState.IDLE
+
+    @property
+    def outcome(self) -> tuple[bool, str] | None:
+        """Whether the last goal was reached, and why it ended; None while the robot is on its way to one."""
+        if self._pending is not None or self.rides or self.driver.state is not DriverState.IDLE:
+            return None
+        return self.driver.reason == ARRIVED, self.driver.reason
 
     def step(self, event: object, now: float) -> list[Effect]:
         """Take a GoalGiven, GoalCancelled, Tick or network Message."""

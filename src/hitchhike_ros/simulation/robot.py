@@ -43,7 +43,7 @@ _TAG_LINK = """<robot>
 
 @dataclass(frozen=True)
 class Contact:
-    """A robot began to touch something at (x, y) in ``map``: ``other`` is ``walls``, a box or a robot."""
+    """A robot began to touch something at (x, y) in ``map``: ``other`` is ``walls``, a box, a person or a robot."""
 
     stamp: float
     robot: str

@@ -1,4 +1,4 @@
-"""The simulated world: a map's walls, boxes, markers and robots in one pybullet client.
+"""The simulated world: a map's walls, boxes, markers, people and robots in one pybullet client.
 
 Nothing here reads a clock: time passes by :meth:`World.step` alone. Several worlds may live in one process.
 """
@@ -19,9 +19,11 @@ import pybullet as p
 
 from hitchhike_ros.datatypes import Marker, Positive
 from hitchhike_ros.errors import WorldFileError
+from hitchhike_ros.geometry import distance
 from hitchhike_ros.mapping.grid import FREE
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.simulation.camera import Renderer, load_renderer, silenced
+from hitchhike_ros.simulation.people import Person, WalkingBody, cylinder
 from hitchhike_ros.simulation.robot import (
     FLOOR_GROUP,
     ROLLING_GROUP,
@@ -42,6 +44,8 @@ _FLOOR_COLOUR = (0.52, 0.54, 0.56, 1.0)
 _BOX_COLOUR = (0.72, 0.52, 0.30, 1.0)
 # Markers of the world are printed on boards this thick, so that they may be placed on a wall's face.
 _BOARD_M = 0.005
+# A robot whose centre is farther than this from a person's does not touch him.
+_NEAR_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,8 @@ class World:
         """One physics step."""
         for robot in self.robots.values():
             robot.drive(self.dt)
+        if self.people:
+            self._walk()
         p.stepSimulation(physicsClientId=self.client)
         self._steps += 1
         for robot in self.robots.values():
@@ -137,13 +143,16 @@ class World:
         return tuple(sorted((c for r in self.robots.values() for c in r.contacts()), key=lambda contact: contact.stamp))
 
     def reset(self) -> None:
-        """Robots back to their starts, boxes as in the world file, noise as at the beginning; time goes on."""
+        """Robots and people back to their starts, boxes as in the file, noise as at the beginning; time goes on."""
         for robot in self.robots.values():
             robot.reset()
         for box_id in list(self._boxes):
             self.remove_box(box_id)
         for box in self.file.boxes:
             self.add_box(box)
+        for person in self.people:
+            person.reset()
+        self._walk_from = self.now
         self._touching.clear()
 
     def add_box(self, box: Box) -> None:
@@ -198,6 +207,7 @@ class World:
         p.setTimeStep(self.dt, physicsClientId=client)
         p.setPhysicsEngineParameter(deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=client)
         self.robots: Mapping[str, SimulatedRobot] = {}
+        self.people: tuple[WalkingBody, ...] = ()
         self._names: dict[int, str] = {}
         self._boxes: dict[str, tuple[Box, int]] = {}
         self._touching: dict[tuple[str, str], float] = {}
@@ -212,6 +222,8 @@ class World:
         robots = {name: SimulatedRobot(name, entry, package, engine) for name, entry in self.file.robots.items()}
         self._names.update({robot.body: name for name, robot in robots.items()})
         self.robots = MappingProxyType(robots)
+        self.people = tuple(self._add_person(person) for person in self.file.people)
+        self._walk_from = 0.0
 
     def _add_floor(self) -> None:
         rows, columns = self.grid.data.shape
@@ -248,6 +260,24 @@ class World:
             )
             self._add_static(-1, look, [marker.x, marker.y, marker.z], marker.yaw)
 
+    def _add_person(self, person: Person) -> WalkingBody:
+        body = self._add_static(*cylinder(self.client), [0.0, 0.0, 0.0])
+        for robot in self.robots.values():  # the laser sees people, but they do not push
+            for link in range(-1, p.getNumJoints(robot.body, physicsClientId=self.client)):
+                p.setCollisionFilterPair(robot.body, body, link, -1, 0, physicsClientId=self.client)
+        return WalkingBody(self.client, person, body)
+
+    def _walk(self) -> None:
+        """People take a step, and whom a robot touches is noted."""
+        poses = {name: robot.ground_truth()[0] for name, robot in self.robots.items()}
+        for person in self.people:
+            person.step(self.now - self._walk_from, self.dt, poses.values())
+            for name, pose in poses.items():
+                if distance(pose, person.walker.pose) < _NEAR_M:
+                    place = person.touches(self.robots[name].body)
+                    if place is not None:
+                        self._note_contact(self.robots[name], person.walker.person.id, place)
+
     def _add_static(self, shape: int, look: int, position: list[float], yaw: float = 0.0) -> int:
         """A body that never moves; its id."""
         body = p.createMultiBody(
@@ -262,10 +292,13 @@ class World:
             other = self._names.get(point[2])
             if other is None or point[2] == robot.body or point[8] > 0.0:  # the floor, itself, near but not touching
                 continue
-            touch = (robot.name, other)
-            if self.now - self._touching.get(touch, -math.inf) > self.params.contact_gap_s:
-                robot.contact_log.append(Contact(self.now, robot.name, other, point[5][0], point[5][1]))
-            self._touching[touch] = self.now
+            self._note_contact(robot, other, (point[5][0], point[5][1]))
+
+    def _note_contact(self, robot: SimulatedRobot, other: str, place: tuple[float, float]) -> None:
+        touch = (robot.name, other)
+        if self.now - self._touching.get(touch, -math.inf) > self.params.contact_gap_s:
+            robot.contact_log.append(Contact(self.now, robot.name, other, *place))
+        self._touching[touch] = self.now
 
 
 def _paint(rgba: tuple[float, float, float, float]) -> dict[str, tuple[float, ...]]:

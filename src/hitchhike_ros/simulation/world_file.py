@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 
 from hitchhike_ros.datatypes import Obstacle, Pose2D, Positive
 from hitchhike_ros.errors import WorldFileError
 from hitchhike_ros.mapping.sites import Sites, parse_sites, read_entry, read_list, require_unique
 from hitchhike_ros.parameters import convert, read_yaml
+from hitchhike_ros.simulation.people import Person
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class WorldFile:
     wall_height_m: float = 1.0
     boxes: tuple[Box, ...] = ()
     sites: Sites = field(default_factory=Sites)
+    people: tuple[Person, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ def load_world(path: Path | str) -> WorldFile:
     """
     path = Path(path)
     content = read_yaml(path, WorldFileError)
-    known = {f.name for f in fields(_Scalars)} | {"boxes", "markers", "hitchhiking_points", "robots"}
+    known = {f.name for f in fields(_Scalars)} | {"boxes", "markers", "hitchhiking_points", "people", "robots"}
     for key in content:
         if key not in known:
             raise WorldFileError(path, str(key), content[key], f"one of the fields {', '.join(sorted(known))}")
@@ -73,9 +76,9 @@ def load_world(path: Path | str) -> WorldFile:
     require_unique((box.id for box in boxes), "boxes", "id", path)
     for i, box in enumerate(boxes):
         check_box(box, path, f"boxes[{i}]")
-    return WorldFile(
-        path, map_file, _robots(content.get("robots"), path), scalars.wall_height_m, boxes, parse_sites(content, path)
-    )
+    robots, people = _robots(content.get("robots"), path), read_list(content, "people", Person, path)
+    check_people(people, {*robots, *(box.id for box in boxes)}, path)
+    return WorldFile(path, map_file, robots, scalars.wall_height_m, boxes, parse_sites(content, path), people)
 
 
 def check_box(box: Box, path: Path | str, field_name: str) -> None:
@@ -83,6 +86,16 @@ def check_box(box: Box, path: Path | str, field_name: str) -> None:
     for name in ("w", "b"):
         if getattr(box, name) <= 0.0:
             raise WorldFileError(path, f"{field_name}.{name}", getattr(box, name), "more than 0 m")
+
+
+def check_people(people: Sequence[Person], taken: Container[str], path: Path | str) -> None:
+    """Raises WorldFileError for a person without a way to walk, or with a name that somebody or something has."""
+    require_unique((person.id for person in people), "people", "id", path)
+    for i, person in enumerate(people):
+        if person.id in taken:
+            raise WorldFileError(path, f"people[{i}].id", person.id, "a name that no robot and no box has")
+        if len(person.path) < 2 or any(a == b for a, b in pairwise(person.path)):
+            raise WorldFileError(path, f"people[{i}].path", person.path, "two points or more, each apart from the next")
 
 
 def distance_to_box(x: float, y: float, box: Obstacle) -> float:

@@ -1,0 +1,47 @@
+"""What a blocked robot tries: a table of steps, each for a bounded time, from the top again until the way is open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Action = Literal["wait", "clear", "turn", "replan"]
+
+
+@dataclass(frozen=True)
+class RecoveryStep:
+    """``action`` for ``duration_s``; ``says`` is what operators read meanwhile."""
+
+    action: Action
+    duration_s: float
+    says: str
+
+
+class Recovery:
+    """Steps through the table while the way is blocked; starts over once it has been open for ``calm_s``."""
+
+    def __init__(self, table: Sequence[RecoveryStep], calm_s: float) -> None:
+        self._table, self._calm_s = tuple(table), calm_s
+        self.reset()
+
+    def reset(self) -> None:
+        """The next block is a new one."""
+        self._since: float | None = None
+        self._blocked_at = 0.0
+
+    def step(self, now: float, blocked: bool) -> RecoveryStep | None:
+        """What to do at ``now`` in s; None while the way is open."""
+        if self._since is not None and not 0.0 <= now - self._blocked_at <= self._calm_s:
+            self.reset()
+        if not blocked:
+            return None
+        self._blocked_at = now
+        if self._since is None:
+            self._since = now
+        spent = (now - self._since) % sum(step.duration_s for step in self._table)
+        for step in self._table:
+            if spent < step.duration_s:
+                return step
+            spent -= step.duration_s
+        return self._table[-1]  # by rounding

@@ -1,0 +1,117 @@
+"""People in the simulated world: cylinders that walk to and fro along a path of straight pieces.
+
+They are kinematic: they push nobody and nobody pushes them; that they and a robot touch is counted as the robot's
+contact. A person stops while a robot is close in front of him, as people do, and walks on when it has gone, or turns
+back after a while. He looks no farther than a step, so a robot must still stop for people.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pybullet as p
+
+from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive
+
+RADIUS_M, HEIGHT_M = 0.25, 1.7
+# Somebody stops for a robot whose centre is nearer than this and within this bearing of where he walks, or still nearer
+# and anywhere before him (chosen; no robot's corner is farther than 0.4 m from its centre).
+_STOP_M, _STOP_RAD, _BESIDE_M = 0.8, math.radians(50.0), 0.7
+_PATIENCE_S = 1.0  # then he turns back (chosen)
+_COLOUR = (0.25, 0.35, 0.60, 1.0)
+
+
+@dataclass(frozen=True)
+class Person:
+    """Walks along ``path``, two points (x, y) or more in m in ``map``, and back again, from ``start_s`` on."""
+
+    id: str
+    path: tuple[tuple[float, float], ...]
+    speed_mps: Positive = 1.0
+    start_s: NonNegative = 0.0
+
+
+class Walker:
+    """Where a person is on the way."""
+
+    def __init__(self, person: Person) -> None:
+        self.person = person
+        self._points = np.asarray(person.path, dtype=float)
+        self._arc: FloatArray = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._points, axis=0).T))])
+        self._s, self._sense, self._waited = 0.0, 1.0, 0.0
+
+    @property
+    def pose(self) -> Pose2D:
+        """Place in ``map`` and the direction in which he walks."""
+        piece = min(int(np.searchsorted(self._arc, self._s, side="right")) - 1, len(self._arc) - 2)
+        along = self._points[piece + 1] - self._points[piece]
+        share = (self._s - self._arc[piece]) / (self._arc[piece + 1] - self._arc[piece])
+        x, y = self._points[piece] + share * along
+        return Pose2D(float(x), float(y), math.atan2(self._sense * along[1], self._sense * along[0]))
+
+    def step(self, now: float, dt: float, robots: Iterable[Pose2D]) -> bool:
+        """Walk for ``dt`` s, or wait for the robot in front; whether he has moved."""
+        if now < self.person.start_s:
+            return False
+        if any(in_front(self.pose, robot) for robot in robots):
+            self._waited += dt
+            if self._waited > _PATIENCE_S:
+                self._sense, self._waited = -self._sense, 0.0
+            return False
+        self._waited = 0.0
+        s, end = self._s + self._sense * self.person.speed_mps * dt, float(self._arc[-1])
+        if not 0.0 <= s <= end:
+            s, self._sense = -s if s < 0.0 else 2.0 * end - s, -self._sense
+        self._s = s
+        return True
+
+
+class WalkingBody:
+    """A walker's cylinder in a pybullet client."""
+
+    def __init__(self, client: int, person: Person, body: int) -> None:
+        self.walker, self.body, self._client = Walker(person), body, client
+        self._place()
+
+    def step(self, now: float, dt: float, robots: Iterable[Pose2D]) -> None:
+        """Walk for ``dt`` s."""
+        if self.walker.step(now, dt, robots):
+            self._place()
+
+    def reset(self) -> None:
+        """Back to the start of the path."""
+        self.walker = Walker(self.walker.person)
+        self._place()
+
+    def touches(self, robot: int) -> tuple[float, float] | None:
+        """Where the body of a robot touches him, (x, y) in ``map``; None when it does not."""
+        points = p.getClosestPoints(robot, self.body, 0.0, physicsClientId=self._client)
+        deepest = min(points, key=lambda point: float(point[8]), default=None)
+        return None if deepest is None or deepest[8] > 0.0 else (float(deepest[5][0]), float(deepest[5][1]))
+
+    def _place(self) -> None:
+        pose = self.walker.pose
+        p.resetBasePositionAndOrientation(
+            self.body, [pose.x, pose.y, HEIGHT_M / 2], [0.0, 0.0, 0.0, 1.0], physicsClientId=self._client
+        )
+
+
+def cylinder(client: int) -> tuple[int, int]:
+    """Collision and visual shape of a person."""
+    shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=RADIUS_M, height=HEIGHT_M, physicsClientId=client)
+    look = p.createVisualShape(
+        p.GEOM_CYLINDER, radius=RADIUS_M, length=HEIGHT_M, rgbaColor=_COLOUR, specularColor=(0.0, 0.0, 0.0),
+        physicsClientId=client,
+    )  # fmt: skip
+    return shape, look
+
+
+def in_front(person: Pose2D, robot: Pose2D) -> bool:
+    """Whether a robot is so close in front of a person that he stops for it."""
+    x, y = robot.x - person.x, robot.y - person.y
+    ahead = x * math.cos(person.theta) + y * math.sin(person.theta)
+    away = math.hypot(x, y)
+    return (away < _BESIDE_M and ahead > 0.0) or (away < _STOP_M and ahead > math.cos(_STOP_RAD) * away)
