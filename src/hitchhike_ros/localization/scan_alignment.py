@@ -39,6 +39,10 @@ class AlignmentParameters:
     iterations: Count = 6
     annealing: UnitInterval = 0.2  # how fast the error expected of the prior shrinks from step to step
 
+    def wall_variance(self, resolution: float) -> float:
+        """Of a wall's place in a map of that many m a cell, in m²."""
+        return self.wall_sigma_m**2 + (self.cell_sigma * resolution) ** 2
+
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
@@ -72,7 +76,7 @@ class ScanAlignment:
     ) -> None:
         self._field, self._noise, self._parameters = field, noise, parameters
         self._shared_covariance = np.diag([(parameters.map_sigma * resolution) ** 2] * 2 + [0.0])
-        self._wall_variance = parameters.wall_sigma_m**2 + (parameters.cell_sigma * resolution) ** 2
+        self._wall_variance = parameters.wall_variance(resolution)
 
     def align(self, ends: EndPoints, origin: FloatArray, mean: Pose2D, covariance: FloatArray) -> Alignment | None:
         """The measurement that a scan makes of the pose, given the prior.

@@ -62,3 +62,17 @@ class DistanceField:
             gradient = gradient @ np.array([[c, s], [-s, c]])
         valid = on_grid & wall[k] & wall[k + 1] & wall[k + columns] & wall[k + columns + 1]
         return low + v * (high - low), gradient, valid
+
+    def distances(self, points: FloatArray) -> FloatArray:
+        """Only the distance (N,) in m at points (N, 2) in ``map``, for many points; infinite where there is no wall."""
+        rows, columns = self._signed.shape
+        local = transform_points(inverse(self._grid.origin), points) / self._grid.resolution - 0.5
+        column, row = np.floor(local).astype(np.int64).T
+        on_grid = (column >= 0) & (row >= 0) & (column < columns - 1) & (row < rows - 1)
+        k = np.where(on_grid, row * columns + column, 0)
+        u, v = local[:, 0] - column, local[:, 1] - row
+        flat = self._signed.ravel()
+        d00, d01 = flat[k], flat[k + columns]
+        low = d00 + u * (flat[k + 1] - d00)
+        distance = low + v * (d01 + u * (flat[k + columns + 1] - d01) - low)
+        return np.where(on_grid & self._wall.ravel()[k], distance, np.inf)
