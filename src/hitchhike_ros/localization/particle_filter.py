@@ -36,7 +36,7 @@ class ParticleParameters:
     beams: Count = 80
     outlier_share: Positive = 0.05  # likelihood of a beam that hits something the map does not have, by a perfect one
     # A cloud this wide for its number of particles is weighed with as much more tolerance ...
-    tolerance_share: NonNegative = 0.5
+    tolerance_share: NonNegative = 2.0
     max_tolerance_m: Positive = 0.15
     min_evidence: UnitInterval = 0.15  # what a beam still counts then
     # ... and counts as one hypothesis while it is narrower than this.

@@ -22,7 +22,7 @@ from hitchhike_ros.mapping.laser import EndPoints, check_scan, end_points
 # Beams by which random poses are tried first; how far such a pose is from one that fits; how far it is when it has been
 # aligned; and how near to a wall an end point fits (all chosen).
 _SCOUTING_BEAMS = 30
-_CANDIDATE = np.diag([0.3, 0.3, 0.2]) ** 2
+_CANDIDATE: FloatArray = np.diag(np.square([0.3, 0.3, 0.2]))
 _FOUND_SIGMA = np.array([0.03, 0.03, 0.02])
 _FIT_M = 0.1
 
@@ -42,7 +42,6 @@ class ParticleLocalizer:
         self._markers = {m.id: Pose2D(m.x, m.y, m.yaw) for m in markers}
         self._field = DistanceField(grid)
         self._alignment = ScanAlignment(self._field, grid.resolution, parameters.laser, parameters.alignment)
-        self._wall_variance = parameters.alignment.wall_variance(grid.resolution)
         self._free = grid.cell_to_world(np.argwhere(grid.data == FREE))
         self._resolution = grid.resolution
         self._odometry = OdometryTrack(parameters.odometry)
@@ -251,15 +250,17 @@ class ParticleLocalizer:
 
     def _variance(self, ends: EndPoints, T_now_then: Pose2D, tolerance: float) -> FloatArray:
         """Of the distances (B,) of end points to the walls: a range that grazes its wall says it well."""
-        across = np.ones(len(ends.points))
+        align = self._parameters.alignment
+        across, wall_variance = np.ones(len(ends.points)), np.full(len(ends.points), align.wall_sigma_m**2)
         if tolerance < 0.5 * self._parameters.particles.max_tolerance_m:
             pose, _ = self._cloud.estimate()
             laser = compose(pose, compose(T_now_then, self._T_base_laser))
             points = transform_points(pose, ends.points)
             _, gradient, valid = self._field.lookup(points)
             rays = (points - [laser.x, laser.y]) / ends.ranges[:, None]
+            wall_variance += (align.face_error * self._field.face_error(points)) ** 2
             across = np.where(valid, np.einsum("ni,ni->n", gradient, rays), 1.0)
-        return (self._parameters.laser.sigma(ends.ranges) * across) ** 2 + self._wall_variance
+        return (self._parameters.laser.sigma(ends.ranges) * across) ** 2 + wall_variance
 
     def _log_likelihood(
         self, poses: FloatArray, points: FloatArray, variance: FloatArray
