@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -15,14 +14,14 @@ from hitchhike_ros.datatypes import (
     Odometry,
     Pose2D,
     PoseEstimate,
-    Positive,
     UnitInterval,
 )
 from hitchhike_ros.errors import SensorDataError
-from hitchhike_ros.geometry import between, compose, compose_jacobians, transform_points
+from hitchhike_ros.geometry import compose, compose_jacobians, inverse, transform_points
 from hitchhike_ros.localization.ekf import Ekf, EkfParameters, LandmarkObservation
 from hitchhike_ros.localization.landmarks import CornerParameters, map_corners, scan_corners
-from hitchhike_ros.localization.motion import move, twist_between
+from hitchhike_ros.localization.odometry_track import OdometryTrack, OdometryTrackParameters
+from hitchhike_ros.localization.particle_filter import ParticleParameters
 from hitchhike_ros.localization.scan_alignment import AlignmentParameters, ScanAlignment
 from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.grid import OccupancyGrid
@@ -38,10 +37,8 @@ class LocalizerParameters:
     corners: CornerParameters = field(default_factory=CornerParameters)
     alignment: AlignmentParameters = field(default_factory=AlignmentParameters)
     corner_share: UnitInterval = 0.2  # of a scan's information that its corners carry; the walls carry the rest
-    history_s: Positive = 2.0  # how old a scan or an image may be
-    max_extrapolation_s: Positive = 0.2  # how much newer than the odometry
-    max_speed_mps: Positive = 3.0  # odometry that moves faster has jumped
-    max_yaw_rate_rps: Positive = 10.0
+    odometry: OdometryTrackParameters = field(default_factory=OdometryTrackParameters)
+    particles: ParticleParameters = field(default_factory=ParticleParameters)
 
 
 class EkfLocalizer:
@@ -60,8 +57,13 @@ class EkfLocalizer:
         self._alignment = ScanAlignment(DistanceField(grid), grid.resolution, parameters.laser, parameters.alignment)
         self._ekf: Ekf | None = None
         self._stamp = 0.0
-        self._history: deque[Odometry] = deque()
+        self._odometry = OdometryTrack(parameters.odometry)
         self._explained: float | None = None
+
+    def restart(self) -> None:
+        """Forget estimate and odometry, such as after a pause in which the robot was moved; the map stays."""
+        self._odometry.clear()
+        self._ekf, self._explained, self._stamp = None, None, 0.0
 
     @property
     def initialised(self) -> bool:
@@ -89,12 +91,12 @@ class EkfLocalizer:
             ValueError: the pose is not finite or the covariance is none.
         """
         ekf = Ekf(estimate.pose, estimate.covariance, self._parameters.ekf)
-        if self._history and estimate.stamp >= self._history[0].stamp:
+        if self._odometry and estimate.stamp >= self._odometry.oldest.stamp:
             # A pose taken a moment ago: the robot has moved on since.
-            step = between(self._odometry_at(min(estimate.stamp, self._stamp)), self._history[-1].pose)
+            step = inverse(self._odometry.seen_from_now(min(estimate.stamp, self._stamp)))
             J, _ = compose_jacobians(estimate.pose, step)
             ekf = Ekf(compose(estimate.pose, step), J @ ekf.covariance @ J.T, self._parameters.ekf)
-        elif not self._history:
+        elif not self._odometry:
             self._stamp = estimate.stamp
         self._ekf, self._explained = ekf, None
 
@@ -105,14 +107,13 @@ class EkfLocalizer:
             SensorDataError: the odometry is not finite, runs back in time or has jumped. The estimate stays as it was;
                 after a jump, in time or in space, the next odometry counts from this one.
         """
-        if not (np.isfinite(odometry.stamp) and odometry.pose.is_finite() and odometry.twist.is_finite()):
-            raise SensorDataError(f"odometry at {odometry.stamp:.2f} s is not finite")
-        if self._history:
-            self._advance(self._history[-1], odometry)
-        self._history.append(odometry)
-        self._stamp = odometry.stamp
-        while self._history[0].stamp < odometry.stamp - self._parameters.history_s:
-            self._history.popleft()
+        try:
+            motion = self._odometry.add(odometry)
+        finally:
+            if self._odometry:
+                self._stamp = self._odometry.newest.stamp
+        if motion is not None and self._ekf is not None:
+            self._ekf.predict(*motion)
 
     def update_scan(self, scan: LaserScan) -> bool:
         """Correct by the corners and walls in a scan; False where it shows too little of the map.
@@ -123,7 +124,7 @@ class EkfLocalizer:
         """
         ekf, p = self._filter(), self._parameters
         check_scan(scan)
-        T_now_then = self._motion_since(scan.stamp, "scan")
+        T_now_then = self._odometry.seen_from_now(scan.stamp, "scan")
         ends = end_points(scan, compose(T_now_then, self._T_base_laser))
         origin = transform_points(T_now_then, np.array([[self._T_base_laser.x, self._T_base_laser.y]]))[0]
         alignment = self._alignment.align(ends, origin, ekf.pose, ekf.covariance)
@@ -152,7 +153,7 @@ class EkfLocalizer:
                 continue
             if not (seen.pose.is_finite() and np.isfinite(seen.covariance).all()):
                 raise SensorDataError(f"marker {seen.marker_id} at {seen.stamp:.2f} s is not finite")
-            T_now_then = self._motion_since(seen.stamp, "image")
+            T_now_then = self._odometry.seen_from_now(seen.stamp, "image")
             _, J = compose_jacobians(T_now_then, seen.pose)
             now = MarkerObservation(
                 self._stamp, seen.marker_id, compose(T_now_then, seen.pose), J @ seen.covariance @ J.T
@@ -168,67 +169,18 @@ class EkfLocalizer:
             RuntimeError: before :meth:`initialise`.
         """
         ekf = self._filter()
-        T_now_then = self._motion_since(stamp, "time asked for")
+        T_now_then = self._odometry.seen_from_now(stamp)
         J, _ = compose_jacobians(ekf.pose, T_now_then)
         return PoseEstimate(stamp, compose(ekf.pose, T_now_then), J @ ekf.covariance @ J.T)
 
     def odometry_at(self, stamp: float) -> Pose2D:
         """Pose in the robot's ``odom`` frame at ``stamp``; raises as :meth:`estimate_at`."""
-        self._check_time(stamp, "time asked for")
-        return self._odometry_at(stamp)
+        return self._odometry.at(stamp)
 
     def _filter(self) -> Ekf:
         if self._ekf is None:
             raise RuntimeError("the localizer has no estimate before initialise()")
         return self._ekf
-
-    def _advance(self, before: Odometry, odometry: Odometry) -> None:
-        dt = odometry.stamp - before.stamp
-        if dt < 0.0:
-            self._restart(odometry)
-            raise SensorDataError(f"odometry went back in time from {before.stamp:.2f} s to {odometry.stamp:.2f} s")
-        if dt == 0.0:
-            self._history.pop()
-            return
-        twist = twist_between(before.pose, odometry.pose, dt)
-        if abs(twist.v) > self._parameters.max_speed_mps or abs(twist.omega) > self._parameters.max_yaw_rate_rps:
-            self._restart(odometry)
-            raise SensorDataError(
-                f"odometry jumped to ({odometry.pose.x:.2f}, {odometry.pose.y:.2f}, {odometry.pose.theta:.2f}) "
-                f"within {dt:.2f} s"
-            )
-        if self._ekf is not None:
-            self._ekf.predict(twist, dt)
-
-    def _restart(self, odometry: Odometry) -> None:
-        self._history.clear()
-        self._history.append(odometry)
-        self._stamp = odometry.stamp
-
-    def _motion_since(self, stamp: float, what: str) -> Pose2D:
-        """T_now_then: where the robot was at ``stamp``, seen from where it is at the time of the state."""
-        self._check_time(stamp, what)
-        return between(self._history[-1].pose, self._odometry_at(stamp))
-
-    def _check_time(self, stamp: float, what: str) -> None:
-        if not self._history:
-            raise SensorDataError(f"no odometry yet for the {what} at {stamp:.2f} s")
-        oldest, newest = self._history[0].stamp, self._history[-1].stamp
-        # A comparison that a NaN fails as well.
-        if not oldest - self._parameters.max_extrapolation_s <= stamp <= newest + self._parameters.max_extrapolation_s:
-            raise SensorDataError(f"{what} at {stamp:.2f} s, but odometry from {oldest:.2f} s to {newest:.2f} s")
-
-    def _odometry_at(self, stamp: float) -> Pose2D:
-        newest = self._history[-1]
-        if stamp >= newest.stamp:
-            return move(newest.pose, newest.twist, stamp - newest.stamp)
-        after = newest
-        for before in reversed(self._history):
-            if before.stamp <= stamp:
-                dt = after.stamp - before.stamp
-                return move(before.pose, twist_between(before.pose, after.pose, dt), stamp - before.stamp)
-            after = before
-        return move(after.pose, after.twist, stamp - after.stamp)
 
 
 def _weakened(observation: LandmarkObservation, share: float) -> LandmarkObservation:

@@ -19,10 +19,10 @@ class MotionNoise:
     the variance of the same random walk, so that the rate of the odometry does not matter (chosen).
     """
 
-    alpha_1: NonNegative = 0.0005  # 1
+    alpha_1: NonNegative = 0.00005  # 1
     alpha_2: NonNegative = 0.00001  # m^2
-    alpha_3: NonNegative = 0.006  # 1/m^2
-    alpha_4: NonNegative = 0.001  # 1
+    alpha_3: NonNegative = 0.001  # 1/m^2
+    alpha_4: NonNegative = 0.0002  # 1
     period_s: Positive = 0.1
 
     def covariance(self, twist: Twist2D, dt_s: float) -> FloatArray:

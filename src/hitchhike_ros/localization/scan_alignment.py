@@ -28,12 +28,12 @@ class AlignmentParameters:
 
     max_beams: Count = 150
     max_gap_m: Positive = 0.2  # end points further apart count as this far when beams are spread over the walls
-    wall_sigma_m: Positive = 0.01  # roughness of walls
-    cell_sigma: NonNegative = 0.15  # error of the map's faces, in cells
-    map_sigma: NonNegative = 0.1  # error of the position, in cells, that all beams of a scan share
+    wall_sigma_m: Positive = 0.003  # roughness of walls
+    face_error: NonNegative = 0.6  # standard deviation by the greatest error of the field at a face
+    face_bias: NonNegative = 0.5  # of that, averaged over the beams, as an error of the position that they share
+    map_sigma: NonNegative = 0.02  # error of the position, in cells, that all beams of a scan share
     gate_sigmas: Positive = 3.5
     max_gate_m: Positive = 0.6
-    beam_weight: UnitInterval = 0.2  # neighbouring beams share their wall's errors
     min_explained: UnitInterval = 0.2
     min_beams: Count = 15
     iterations: Count = 6
@@ -71,8 +71,7 @@ class ScanAlignment:
         self, field: DistanceField, resolution: float, noise: LaserNoise, parameters: AlignmentParameters
     ) -> None:
         self._field, self._noise, self._parameters = field, noise, parameters
-        self._shared_covariance = np.diag([(parameters.map_sigma * resolution) ** 2] * 2 + [0.0])
-        self._wall_variance = parameters.wall_sigma_m**2 + (parameters.cell_sigma * resolution) ** 2
+        self._resolution = resolution
 
     def align(self, ends: EndPoints, origin: FloatArray, mean: Pose2D, covariance: FloatArray) -> Alignment | None:
         """The measurement that a scan makes of the pose, given the prior.
@@ -105,7 +104,9 @@ class ScanAlignment:
             turn = gradient[:, 1] * (points[:, 0] - pose.x) - gradient[:, 0] * (points[:, 1] - pose.y)
             J = np.column_stack([gradient, turn])
             towards = np.einsum("ni,ni->n", gradient, transform_points(Pose2D(theta=pose.theta), rays))
-            variance = range_variance * towards**2 + self._wall_variance
+            face_error = self._field.face_error(points)
+            wall_variance = p.wall_sigma_m**2 + (p.face_error * face_error) ** 2
+            variance = range_variance * towards**2 + wall_variance
             if iteration == 0:
                 spread_of_prior = np.einsum("ni,ij,nj->n", J, covariance, J)
                 gate = np.minimum(p.gate_sigmas * np.sqrt(variance + spread_of_prior), p.max_gate_m)
@@ -114,7 +115,7 @@ class ScanAlignment:
             # A beam that leaves the wall at its end point went through it: that is the wall's back.
             inlier = valid & (np.abs(distance) < gate) & (towards < 0.2)
             robust = np.where(inlier, 1.0 / (1.0 + distance**2 / (4.0 * scale)) ** 2, 0.0)
-            weighted = (p.beam_weight * robust / variance)[:, None] * J
+            weighted = (self._independence(points, wall_variance / variance) * robust / variance)[:, None] * J
             A = weighted.T @ J
             b = A @ delta - weighted.T @ np.where(inlier, distance, 0.0)
             step = np.linalg.solve(np.eye(3) + covariance @ A, covariance @ b) - delta
@@ -125,5 +126,18 @@ class ScanAlignment:
         if inlier.sum() < p.min_beams or explained < p.min_explained:
             return None
         # The errors that the beams share add to the covariance: (A^-1 + B)^-1 = A (I + B A)^-1, A perhaps singular.
-        shared = np.linalg.inv(np.eye(3) + A @ self._shared_covariance)
+        sigma = np.hypot(p.map_sigma * self._resolution, p.face_bias * float(face_error[inlier].mean()))
+        shared = np.linalg.inv(np.eye(3) + A @ np.diag([sigma**2, sigma**2, 0.0]))
         return Alignment(shared @ A, shared @ b, explained)
+
+    def _independence(self, points: FloatArray, shared: FloatArray) -> FloatArray:
+        """What each of the end points (N, 2) counts: those on one cell share the error of its face.
+
+        ``shared`` (N,) is the part of their variance that is the wall's.
+        """
+        cells = np.floor(points / self._resolution).astype(np.int64)
+        cells -= cells.min(axis=0)
+        _, at, count = np.unique(
+            cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True, return_counts=True
+        )
+        return 1.0 / (1.0 + (count[at] - 1) * shared)

@@ -8,16 +8,20 @@ Subscribed:
         the camera sees; only while the module LZN is on
 Published:
     amcl_pose (geometry_msgs/PoseWithCovarianceStamped): for each scan, with its stamp; none while it is not known
+    particlecloud (geometry_msgs/PoseArray): for each pose, with the method ``particle`` and a subscriber
     map (nav_msgs/OccupancyGrid, latched), map_metadata (nav_msgs/MapMetaData, latched): the robot's own copy with the
         new boxes, when they have changed
     new_obstacles (std_msgs/String, latched): JSON ``{"obstacles": [{"id", "x", "y", "w", "b"}]}``
     lockstep/answer (std_msgs/Header): the stamp of each scan that has been worked on, when /lockstep is true
     /diagnostics (diagnostic_msgs/DiagnosticArray)
+Services:
+    global_localization (std_srvs/Empty): the robot may be anywhere; only with the method ``particle``
 Services used:
     static_map (nav_msgs/GetMap): the map to start from
 Parameters:
     ~config (path), sections ``localization`` (localization.localizer.LocalizerParameters) and ``mapping``
         (mapping.new_obstacles.MappingParameters)
+    ~method (``ekf`` or ``particle``, ekf): how to localize
     ~urdf (path): mount of the laser
     ~world (path): markers at known places
     ~initial_pose_x, ~initial_pose_y (m), ~initial_pose_a (rad): start, all three or none
@@ -35,19 +39,31 @@ import threading
 import msgspec
 import numpy as np
 import rospy
-from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseArray,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from nav_msgs.msg import MapMetaData
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from nav_msgs.srv import GetMap
 from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import String
+from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 from tf2_ros import TransformBroadcaster
 
 from hitchhike_ros.datatypes import LaserScan, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.errors import HitchhikeError, MessageError, ParameterError, SensorDataError
 from hitchhike_ros.geometry import compose, inverse, pose_from_matrix
-from hitchhike_ros.localization.localizer import EkfLocalizer, LocalizerParameters
+from hitchhike_ros.localization.localizer import LocalizerParameters
+from hitchhike_ros.localization.methods import Localizer, Method, make_localizer
+from hitchhike_ros.localization.particle_localizer import ParticleLocalizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import load_sites
@@ -95,12 +111,16 @@ class Slam:
         self._mapped_at = -math.inf
         self._modules = ModuleSwitches(LZN=False, MAP=False)
         self._others: list[tuple[Pose2D, float]] = []
-        self._localizer: EkfLocalizer | None = None
+        method: Method = convert(rospy.get_param("~method", "ekf"), Method, rospy.get_name(), "~method")  # type: ignore[arg-type]
+        # Its features of the map are computed once; ``_localizer`` is it while the module is on.
+        self._made = make_localizer(method, self._grid, self._markers, self._params, self._T_base_laser)
+        self._localizer: Localizer | None = None
         self._odometry_problem = ""
         self._scanned_at = 0.0
         self._timer: rospy.Timer | None = None
 
         self._poses = rospy.Publisher("amcl_pose", PoseWithCovarianceStamped, queue_size=1, tcp_nodelay=True)
+        self._particles = rospy.Publisher("particlecloud", PoseArray, queue_size=1)
         self._maps = rospy.Publisher("map", OccupancyGridMsg, queue_size=1, latch=True)
         self._metadata = rospy.Publisher("map_metadata", MapMetaData, queue_size=1, latch=True)
         self._boxes = rospy.Publisher("new_obstacles", String, queue_size=1, latch=True)
@@ -118,6 +138,8 @@ class Slam:
             rospy.Subscriber("initialpose", PoseWithCovarianceStamped, self._on_initial_pose, queue_size=1),
             rospy.Subscriber("hhike_msg/new_obstacles", String, self._on_handed_over, queue_size=10),
         ]
+        if isinstance(self._made, ParticleLocalizer):
+            self._service = rospy.Service("global_localization", Empty, self._on_global_localization)
         if rospy.get_param("~always_on", False):
             self._turn(ModuleSwitches())
         else:
@@ -138,7 +160,8 @@ class Slam:
                 return
             if modules.LZN:
                 # Odometry from before the pause says nothing about the way since: the filter starts anew.
-                self._localizer = EkfLocalizer(self._grid, self._markers, self._params, self._T_base_laser)
+                self._localizer = self._made
+                self._localizer.restart()
                 self._odometry_problem, self._scanned_at = "", rospy.get_time()
                 self._start()
                 self._timer = rospy.Timer(rospy.Duration(_WATCH_PERIOD_S), self._watch, reset=True)
@@ -172,6 +195,13 @@ class Slam:
         with self._lock:
             self._pending = estimate_from_msg(msg)
             self._start()
+
+    def _on_global_localization(self, _request: EmptyRequest) -> EmptyResponse:
+        with self._lock:
+            if not isinstance(self._localizer, ParticleLocalizer):
+                raise rospy.ServiceException("localization is off")
+            self._localizer.globalize()
+        return EmptyResponse()
 
     def _on_handed_over(self, msg: String) -> None:
         try:
@@ -258,6 +288,9 @@ class Slam:
         self._poses.publish(estimate_to_msg(estimate))
         if self._localizer is None:
             return
+        if isinstance(self._localizer, ParticleLocalizer) and self._particles.get_num_connections():
+            poses = [Pose(Point(x, y, 0.0), quaternion_from_yaw(yaw)) for x, y, yaw in self._localizer.particles]
+            self._particles.publish(PoseArray(header(estimate.stamp, "map"), poses))
         T_map_odom = compose(estimate.pose, inverse(self._localizer.odometry_at(estimate.stamp)))
         rotation: Quaternion = quaternion_from_yaw(T_map_odom.theta)
         transform = Transform(Vector3(T_map_odom.x, T_map_odom.y, 0.0), rotation)

@@ -17,7 +17,8 @@ from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, Obstacle
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate
 from hitchhike_ros.geometry import pose_from_matrix
-from hitchhike_ros.localization.localizer import EkfLocalizer, LocalizerParameters
+from hitchhike_ros.localization.localizer import LocalizerParameters
+from hitchhike_ros.localization.methods import Localizer, Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
@@ -54,15 +55,24 @@ ODOMETRY_PER_FRAME = 2
 class ComposedRobot:
     """One robot's cores around its simulated body."""
 
-    def __init__(self, body: SimulatedRobot, grid: OccupancyGrid, sites: Sites, package: Path, model: str) -> None:
+    def __init__(
+        self,
+        body: SimulatedRobot,
+        grid: OccupancyGrid,
+        sites: Sites,
+        package: Path,
+        model: str,
+        localization_method: Method = "ekf",
+    ) -> None:
         config, mounts = package / "config" / f"{model}.yaml", fixed_transforms(package / "urdf" / f"{model}.urdf")
         self.name, self.body = body.name, body
         self.limits = load_parameters(RobotLimits, "robot", config)
         self._T_base_laser = pose_from_matrix(mounts["laser"])
         self._T_base_camera = mounts["camera_optical"]
         self._grid = grid
-        self._localizer = EkfLocalizer(
-            grid, sites.markers, load_parameters(LocalizerParameters, "localization", config), self._T_base_laser
+        localization = load_parameters(LocalizerParameters, "localization", config)
+        self._localizer: Localizer = make_localizer(
+            localization_method, grid, sites.markers, localization, self._T_base_laser
         )
         self.mapper = NewObstacleMapper(grid, load_parameters(MappingParameters, "mapping", config))
         self._planner = GlobalPlanner(load_parameters(GlobalPlannerParameters, "global_planner", config), self.limits)
@@ -210,11 +220,17 @@ class ComposedRide:
     package: Path
     robots: dict[str, ComposedRobot] = field(default_factory=dict)
     messages: list[str] = field(default_factory=list)
+    localization_method: Method = "ekf"
 
     def __post_init__(self) -> None:
         for name, entry in self.world.file.robots.items():
             robot = ComposedRobot(
-                self.world.robots[name], self.world.grid, self.world.file.sites, self.package, entry.model
+                self.world.robots[name],
+                self.world.grid,
+                self.world.file.sites,
+                self.package,
+                entry.model,
+                self.localization_method,
             )
             self.robots[name] = robot
 

@@ -42,17 +42,24 @@ class Laser:
         # Rays reach beyond the sensor's range, so that noise can bring a reading from either side of it.
         self._reach_m = params.range_max_m * (1.0 + params.far_bound)
 
-    def scan(self, client: int, T_world_laser: FloatArray, stamp: float, threads: int) -> LaserScan:
-        """Cast all beams from T_world_laser (4, 4) into the world of pybullet's ``client``."""
+    def distances(self, client: int, T_world_laser: FloatArray, threads: int) -> FloatArray:
+        """True distances (N,) in m along all beams from T_world_laser (4, 4) in the world of pybullet's ``client``."""
         start = T_world_laser[:3, 3]
         ends = start + self._reach_m * self._directions @ T_world_laser[:3, :3].T
         hits = p.rayTestBatch([start.tolist()] * len(ends), ends.tolist(), numThreads=threads, physicsClientId=client)
-        true = np.array([hit[2] if hit[0] >= 0 else np.inf for hit in hits]) * self._reach_m
-        params = self._params
-        ranges = measure(true, params, self._rng)
-        return LaserScan(
-            stamp, params.angle_min_rad, params.angle_increment_rad, params.range_min_m, params.range_max_m, ranges
-        )
+        return np.array([hit[2] if hit[0] >= 0 else np.inf for hit in hits]) * self._reach_m
+
+    def scan(self, client: int, T_world_laser: FloatArray, stamp: float, threads: int) -> LaserScan:
+        """What the laser measures of the world of pybullet's ``client`` at T_world_laser (4, 4)."""
+        return as_scan(self.distances(client, T_world_laser, threads), stamp, self._params, self._rng)
+
+
+def as_scan(true: FloatArray, stamp: float, params: LaserParameters, rng: np.random.Generator) -> LaserScan:
+    """The scan of true distances (N,) in m."""
+    ranges = measure(true, params, rng)
+    return LaserScan(
+        stamp, params.angle_min_rad, params.angle_increment_rad, params.range_min_m, params.range_max_m, ranges
+    )
 
 
 def measure(true: FloatArray, params: LaserParameters, rng: np.random.Generator) -> FloatArray:

@@ -174,6 +174,10 @@ class SimulatedRobot:
         velocity = np.array(linear) - np.cross(angular, to_com)
         return pose_from_matrix(T_world_base), Twist2D(float(velocity @ T_world_base[:3, 0]), angular[2])
 
+    def true_distances(self) -> FloatArray:
+        """Distances (N,) in m that a perfect laser of this make would measure; inf where there is nothing."""
+        return self._laser.distances(self._client, self.T_world("laser"), self._engine.ray_threads)
+
     def contacts(self) -> tuple[Contact, ...]:
         """Everything touched since the start, floor excepted; a touch that lasts is one contact."""
         return tuple(self.contact_log)
