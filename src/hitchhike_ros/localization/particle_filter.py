@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
+from hitchhike_ros.datatypes import FloatArray, Pose2D, Positive, Twist2D, UnitInterval
 from hitchhike_ros.geometry import wrap_angles
 from hitchhike_ros.localization.motion import MotionNoise
 
@@ -35,19 +35,20 @@ class ParticleParameters:
     kernel: UnitInterval = 0.2  # width of the kernel about each resampled particle, as a share of the cloud's
     beams: Count = 80
     outlier_share: Positive = 0.05  # likelihood of a beam that hits something the map does not have, by a perfect one
-    # A cloud this wide for its number of particles is weighed with as much more tolerance ...
-    tolerance_share: NonNegative = 2.0
-    max_tolerance_m: Positive = 0.15
-    min_evidence: UnitInterval = 0.15  # what a beam still counts then
-    # ... and counts as one hypothesis while it is narrower than this.
+    effective_share: UnitInterval = 0.3  # of the particles that one observation may leave effective
+    tolerance_m: Positive = 0.15  # of end points, while there are several hypotheses
+    # A cloud counts as one hypothesis while it is narrower than this.
     one_cluster_m: Positive = 0.3
     one_cluster_rad: Positive = 0.3
     alpha_slow: UnitInterval = 0.005  # w_slow and w_fast of the augmented filter, per scan
     alpha_fast: UnitInterval = 0.2
-    lost_ratio: UnitInterval = 0.9  # w_fast by w_slow below which other poses are tried
-    candidates: Count = 800  # random poses that are tried ...
+    lost_ratio: UnitInterval = 0.95  # w_fast by w_slow below which other poses are tried
+    near_m: Positive = 4.0  # half of them about here, as robots are seldom carried far ...
+    near_rad: Positive = 0.1
+    look_every: Annotated[int, msgspec.Meta(ge=1)] = 10  # scans, while nothing is wrong
+    candidates: Count = 600  # random poses that are tried ...
     aligned: Count = 3  # ... and how many of the likeliest are aligned
-    better_fit: UnitInterval = 0.05  # by which share of the beams such a pose must fit better
+    better_fit: UnitInterval = 0.03  # by which share of the beams such a pose must fit better
     random_share: UnitInterval = 0.2  # of the particles that go there
     seed: int = 0
 
@@ -87,9 +88,23 @@ class ParticleFilter:
         self.poses[:, 2] = wrap_angles(heading + half)
 
     def weigh(self, log_likelihood: FloatArray) -> None:
-        """Multiply the weights by the likelihood (N,) of an observation."""
-        log_weights = np.log(np.maximum(self.weights, 1e-300)) + log_likelihood
-        weights = np.exp(log_weights - log_weights.max())
+        """Multiply the weights by the likelihood (N,) of an observation.
+
+        Where the likelihood is so much narrower than the cloud that few particles would be left, it is tempered until
+        ``effective_share`` of them stay effective, and the next observations do the rest.
+        """
+        log_weights = np.log(np.maximum(self.weights, 1e-300))
+        log_likelihood = log_likelihood - log_likelihood.max()
+        # Powers are halved on a logarithmic scale; the smallest leaves all as it was.
+        low, high, power = 1e-9, 1.0, 1.0
+        for _ in range(12):
+            weights = np.exp(log_weights + power * log_likelihood)
+            enough = weights.sum() ** 2 >= self._parameters.effective_share * len(weights) * (weights**2).sum()
+            if enough and power == high:
+                break
+            low, high = (power, high) if enough else (low, power)
+            power = math.sqrt(low * high)
+        weights = np.exp(log_weights + low * log_likelihood) if power != high else weights
         self.weights = weights / weights.sum()
 
     def inject(self, poses: FloatArray) -> None:
