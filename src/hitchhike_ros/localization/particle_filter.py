@@ -33,10 +33,12 @@ class ParticleParameters:
     bin_rad: Positive = 0.1745
     resample_share: UnitInterval = 0.5  # of the particles that must be effective
     kernel: UnitInterval = 0.2  # width of the kernel about each resampled particle, as a share of the cloud's
+    moving_kernel: UnitInterval = 0.5  # while the cloud converges
     beams: Count = 80
     outlier_share: Positive = 0.05  # likelihood of a beam that hits something the map does not have, by a perfect one
-    effective_share: UnitInterval = 0.3  # of the particles that one observation may leave effective
+    effective_share: UnitInterval = 0.4  # of the particles that one observation may leave effective
     tolerance_m: Positive = 0.15  # of end points, while there are several hypotheses
+    converging_power: UnitInterval = 0.1  # of the likelihood, below which the cloud has yet to converge
     # A cloud counts as one hypothesis while it is narrower than this.
     one_cluster_m: Positive = 0.3
     one_cluster_rad: Positive = 0.3
@@ -60,6 +62,7 @@ class ParticleFilter:
         self._motion, self._parameters, self._rng = motion, parameters, rng
         self.poses: FloatArray = np.zeros((0, 3))
         self.weights: FloatArray = np.zeros(0)
+        self._converging = False
 
     def seed(self, mean: Pose2D, covariance: FloatArray) -> None:
         """Particles about ``mean``, spread along the eigenvectors of ``covariance`` (3, 3) (P17 §6.2, P18 Eq. 22)."""
@@ -104,7 +107,9 @@ class ParticleFilter:
                 break
             low, high = (power, high) if enough else (low, power)
             power = math.sqrt(low * high)
-        weights = np.exp(log_weights + low * log_likelihood) if power != high else weights
+        if power != high:
+            power, weights = low, np.exp(log_weights + low * log_likelihood)
+        self._converging = power < self._parameters.converging_power
         self.weights = weights / weights.sum()
 
     def inject(self, poses: FloatArray) -> None:
@@ -147,21 +152,24 @@ class ParticleFilter:
     def resample(self) -> None:
         """Low-variance resampling where too few particles are effective, to the number that their spread needs."""
         p, n = self._parameters, len(self.poses)
-        if 1.0 / float((self.weights**2).sum()) > p.resample_share * n and n <= 2 * p.min_particles:
+        few = 1.0 / float((self.weights**2).sum()) < p.resample_share * n
+        if not (few or self._converging or n > 2 * p.min_particles):
             return
         drawn = self.poses[_low_variance(self.weights, n, self._rng)]
         _, occupied = self._bins(drawn)
         wanted = min(max(kld_size(occupied, p.kld_error, p.kld_quantile), p.min_particles), p.max_particles)
         if wanted != n:
             drawn = self.poses[_low_variance(self.weights, wanted, self._rng)]
-        # A kernel about each, so that no two stay alike; drawn in by as much, so that mean and covariance stay.
+        # A kernel about each, so that no two stay alike; drawn in by as much, so that mean and covariance stay. A cloud
+        # that has yet to converge is left to spread, so that it can move to where its tails were thin.
         if self.is_one_cluster:
             mean, covariance = moments(self.poses, self.weights)
             values, vectors = np.linalg.eigh(covariance)
             away = drawn - mean
             away[:, 2] = wrap_angles(away[:, 2])
             noise = self._rng.standard_normal(drawn.shape) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-            drawn = mean + math.sqrt(1.0 - p.kernel**2) * away + p.kernel * noise
+            width = p.moving_kernel if self._converging else p.kernel
+            drawn = mean + (1.0 if self._converging else math.sqrt(1.0 - width**2)) * away + width * noise
         else:
             drawn = drawn + self._rng.standard_normal(drawn.shape) * [0.04, 0.04, 0.03]
         self.replace(drawn)
