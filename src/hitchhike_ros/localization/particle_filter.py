@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
+from hitchhike_ros.datatypes import FloatArray, Pose2D, Positive, Twist2D, UnitInterval
 from hitchhike_ros.geometry import wrap_angles
 from hitchhike_ros.localization.motion import MotionNoise
 
@@ -33,21 +33,24 @@ class ParticleParameters:
     bin_rad: Positive = 0.1745
     resample_share: UnitInterval = 0.5  # of the particles that must be effective
     kernel: UnitInterval = 0.2  # width of the kernel about each resampled particle, as a share of the cloud's
+    moving_kernel: UnitInterval = 0.5  # while the cloud converges
     beams: Count = 80
     outlier_share: Positive = 0.05  # likelihood of a beam that hits something the map does not have, by a perfect one
-    # A cloud this wide for its number of particles is weighed with as much more tolerance ...
-    tolerance_share: NonNegative = 2.0
-    max_tolerance_m: Positive = 0.15
-    min_evidence: UnitInterval = 0.15  # what a beam still counts then
-    # ... and counts as one hypothesis while it is narrower than this.
+    effective_share: UnitInterval = 0.4  # of the particles that one observation may leave effective
+    tolerance_m: Positive = 0.15  # of end points, while there are several hypotheses
+    converging_power: UnitInterval = 0.1  # of the likelihood, below which the cloud has yet to converge
+    # A cloud counts as one hypothesis while it is narrower than this.
     one_cluster_m: Positive = 0.3
     one_cluster_rad: Positive = 0.3
     alpha_slow: UnitInterval = 0.005  # w_slow and w_fast of the augmented filter, per scan
     alpha_fast: UnitInterval = 0.2
-    lost_ratio: UnitInterval = 0.9  # w_fast by w_slow below which other poses are tried
-    candidates: Count = 800  # random poses that are tried ...
+    lost_ratio: UnitInterval = 0.95  # w_fast by w_slow below which other poses are tried
+    near_m: Positive = 4.0  # half of them about here, as robots are seldom carried far ...
+    near_rad: Positive = 0.1
+    look_every: Annotated[int, msgspec.Meta(ge=1)] = 10  # scans, while nothing is wrong
+    candidates: Count = 600  # random poses that are tried ...
     aligned: Count = 3  # ... and how many of the likeliest are aligned
-    better_fit: UnitInterval = 0.05  # by which share of the beams such a pose must fit better
+    better_fit: UnitInterval = 0.03  # by which share of the beams such a pose must fit better
     random_share: UnitInterval = 0.2  # of the particles that go there
     seed: int = 0
 
@@ -59,6 +62,7 @@ class ParticleFilter:
         self._motion, self._parameters, self._rng = motion, parameters, rng
         self.poses: FloatArray = np.zeros((0, 3))
         self.weights: FloatArray = np.zeros(0)
+        self._converging = False
 
     def seed(self, mean: Pose2D, covariance: FloatArray) -> None:
         """Particles about ``mean``, spread along the eigenvectors of ``covariance`` (3, 3) (P17 §6.2, P18 Eq. 22)."""
@@ -87,9 +91,25 @@ class ParticleFilter:
         self.poses[:, 2] = wrap_angles(heading + half)
 
     def weigh(self, log_likelihood: FloatArray) -> None:
-        """Multiply the weights by the likelihood (N,) of an observation."""
-        log_weights = np.log(np.maximum(self.weights, 1e-300)) + log_likelihood
-        weights = np.exp(log_weights - log_weights.max())
+        """Multiply the weights by the likelihood (N,) of an observation.
+
+        Where the likelihood is so much narrower than the cloud that few particles would be left, it is tempered until
+        ``effective_share`` of them stay effective, and the next observations do the rest.
+        """
+        log_weights = np.log(np.maximum(self.weights, 1e-300))
+        log_likelihood = log_likelihood - log_likelihood.max()
+        # Powers are halved on a logarithmic scale; the smallest leaves all as it was.
+        low, high, power = 1e-9, 1.0, 1.0
+        for _ in range(12):
+            weights = np.exp(log_weights + power * log_likelihood)
+            enough = weights.sum() ** 2 >= self._parameters.effective_share * len(weights) * (weights**2).sum()
+            if enough and power == high:
+                break
+            low, high = (power, high) if enough else (low, power)
+            power = math.sqrt(low * high)
+        if power != high:
+            power, weights = low, np.exp(log_weights + low * log_likelihood)
+        self._converging = power < self._parameters.converging_power
         self.weights = weights / weights.sum()
 
     def inject(self, poses: FloatArray) -> None:
@@ -132,21 +152,24 @@ class ParticleFilter:
     def resample(self) -> None:
         """Low-variance resampling where too few particles are effective, to the number that their spread needs."""
         p, n = self._parameters, len(self.poses)
-        if 1.0 / float((self.weights**2).sum()) > p.resample_share * n and n <= 2 * p.min_particles:
+        few = 1.0 / float((self.weights**2).sum()) < p.resample_share * n
+        if not (few or self._converging or n > 2 * p.min_particles):
             return
         drawn = self.poses[_low_variance(self.weights, n, self._rng)]
         _, occupied = self._bins(drawn)
         wanted = min(max(kld_size(occupied, p.kld_error, p.kld_quantile), p.min_particles), p.max_particles)
         if wanted != n:
             drawn = self.poses[_low_variance(self.weights, wanted, self._rng)]
-        # A kernel about each, so that no two stay alike; drawn in by as much, so that mean and covariance stay.
+        # A kernel about each, so that no two stay alike; drawn in by as much, so that mean and covariance stay. A cloud
+        # that has yet to converge is left to spread, so that it can move to where its tails were thin.
         if self.is_one_cluster:
             mean, covariance = moments(self.poses, self.weights)
             values, vectors = np.linalg.eigh(covariance)
             away = drawn - mean
             away[:, 2] = wrap_angles(away[:, 2])
             noise = self._rng.standard_normal(drawn.shape) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-            drawn = mean + math.sqrt(1.0 - p.kernel**2) * away + p.kernel * noise
+            width = p.moving_kernel if self._converging else p.kernel
+            drawn = mean + (1.0 if self._converging else math.sqrt(1.0 - width**2)) * away + width * noise
         else:
             drawn = drawn + self._rng.standard_normal(drawn.shape) * [0.04, 0.04, 0.03]
         self.replace(drawn)

@@ -24,7 +24,7 @@ from hitchhike_ros.mapping.laser import EndPoints, check_scan, end_points
 _SCOUTING_BEAMS = 30
 _CANDIDATE: FloatArray = np.diag(np.square([0.3, 0.3, 0.2]))
 _FOUND_SIGMA = np.array([0.03, 0.03, 0.02])
-_FIT_M = 0.1
+_FIT_M = 0.08
 
 
 class ParticleLocalizer:
@@ -81,6 +81,7 @@ class ParticleLocalizer:
         self._stamp = 0.0
         self._explained: float | None = None
         self._slow = self._fast = 0.0
+        self._scans = 0
 
     def initialise(self, estimate: PoseEstimate) -> None:
         """Start, or start again, from a pose known otherwise.
@@ -137,12 +138,10 @@ class ParticleLocalizer:
             return False
         origin = transform_points(T_now_then, np.array([[self._T_base_laser.x, self._T_base_laser.y]]))[0]
         self._recover(ends, origin)
-        tolerance = self._tolerance()
-        variance = self._variance(ends, T_now_then, tolerance) + tolerance**2
+        one = self._cloud.is_one_cluster
+        variance = self._variance(ends, T_now_then) if one else np.full(len(ends.points), p.tolerance_m**2)
         log_likelihood, fit = self._log_likelihood(self._cloud.poses, ends.points, variance)
-        # A tolerance is an error that all beams of a particle share: it counts once, not once a beam.
-        share = float(np.mean(1.0 - tolerance**2 / variance)) if tolerance else 1.0
-        self._cloud.weigh(log_likelihood * max(share, p.min_evidence))
+        self._cloud.weigh(log_likelihood)
         explained = self._explained = float(self._cloud.weights @ fit)
         self._slow += (p.alpha_slow if self._slow else 1.0) * (explained - self._slow)
         self._fast += (p.alpha_fast if self._fast else 1.0) * (explained - self._fast)
@@ -175,10 +174,11 @@ class ParticleLocalizer:
                     wrap_angles(now.theta - marker.theta + poses[:, 2]),
                 ]
             )
-            spread_of_cloud = np.diag([self._tolerance() ** 2] * 3)
-            precision = np.linalg.inv(J @ seen.covariance @ J.T + spread_of_cloud)
+            precision = np.linalg.inv(J @ seen.covariance @ J.T)
             squared = np.einsum("ni,ij,nj->n", innovation, precision, innovation)
-            if float(squared.min()) > self._parameters.ekf.gate:
+            _, covariance = self._cloud.estimate()
+            reach = 9.0 * float(np.trace(covariance) / max(np.trace(J @ seen.covariance @ J.T), 1e-9))
+            if float(squared.min()) > self._parameters.ekf.gate * (1.0 + reach):
                 continue
             self._cloud.weigh(-0.5 * squared)
             used += 1
@@ -211,6 +211,16 @@ class ParticleLocalizer:
         within = self._resolution * (self._rng.random((size, 2)) - 0.5)
         return np.column_stack([cells + within, self._rng.uniform(-math.pi, math.pi, size)])
 
+    def _near_poses(self, about: Pose2D, size: int) -> FloatArray:
+        """Poses in free space about one, with its heading, more or less."""
+        p = self._parameters.particles
+        away = np.hypot(*(self._free - (about.x, about.y)).T)
+        near = np.exp(-0.5 * (away / p.near_m) ** 2)
+        if near.sum() < 1e-6:
+            return self._random_poses(size)
+        cells = self._free[np.searchsorted(np.cumsum(near) / near.sum(), self._rng.random(size)).clip(0, len(near) - 1)]
+        return np.column_stack([cells, about.theta + p.near_rad * self._rng.standard_normal(size)])
+
     def _recover(self, ends: EndPoints, origin: FloatArray) -> None:
         """Where the cloud fits worse of late, or is spread, look for a pose that fits better and put particles there.
 
@@ -218,11 +228,15 @@ class ParticleLocalizer:
         lies on walls there than at the estimate, so that boxes and people about a robot do not make it jump.
         """
         p = self._parameters.particles
-        if self._fast >= p.lost_ratio * self._slow and self._cloud.is_one_cluster:
+        self._scans += 1
+        well = self._fast >= p.lost_ratio * self._slow and self._cloud.is_one_cluster
+        # In a bare corridor another place fits as well until the robot has driven on: look now and then all the same.
+        if well and self._scans % p.look_every:
             return
         some = ends.points[np.linspace(0, len(ends.points) - 1, _SCOUTING_BEAMS).astype(int)]
-        candidates = self._random_poses(p.candidates)
-        log_likelihood, _ = self._log_likelihood(candidates, some, np.full(len(some), p.max_tolerance_m**2))
+        estimate, _ = self._cloud.estimate()
+        candidates = np.vstack([self._random_poses(p.candidates // 2), self._near_poses(estimate, p.candidates // 2)])
+        log_likelihood, _ = self._log_likelihood(candidates, some, np.full(len(some), p.tolerance_m**2))
         found: list[FloatArray] = []
         for k in np.argsort(log_likelihood)[-p.aligned :]:
             alignment = self._alignment.align(ends, origin, Pose2D(*candidates[k].tolist()), _CANDIDATE)
@@ -231,7 +245,6 @@ class ParticleLocalizer:
                 found.append(candidates[k] + covariance @ alignment.vector)
         if not found:
             return
-        estimate, _ = self._cloud.estimate()
         poses = np.array([(estimate.x, estimate.y, estimate.theta), *found])
         _, fit = self._log_likelihood(poses, ends.points, np.ones(len(ends.points)))
         best = int(np.argmax(fit))
@@ -239,28 +252,21 @@ class ParticleLocalizer:
             size = int(p.random_share * len(self._cloud.poses))
             self._cloud.inject(poses[best] + self._rng.standard_normal((size, 3)) * _FOUND_SIGMA)
 
-    def _tolerance(self) -> float:
-        """Error in m of an end point that is due to the particles standing too far apart to meet the true pose."""
-        p = self._parameters.particles
-        if self._cloud.is_one_cluster and len(self._cloud.poses) <= 2 * p.min_particles:
-            position, heading = self._cloud.spread()
-            apart = (position + 2.0 * heading) / len(self._cloud.poses) ** (1.0 / 3.0)
-            return min(p.tolerance_share * apart, p.max_tolerance_m)
-        return p.max_tolerance_m
+    def _variance(self, ends: EndPoints, T_now_then: Pose2D) -> FloatArray:
+        """Of the distances (B,) of end points to the walls: a range that grazes its wall says it well.
 
-    def _variance(self, ends: EndPoints, T_now_then: Pose2D, tolerance: float) -> FloatArray:
-        """Of the distances (B,) of end points to the walls: a range that grazes its wall says it well."""
+        The width of the cloud is part of it, or walls would be outliers to a cloud that has yet to converge.
+        """
         align = self._parameters.alignment
-        across, wall_variance = np.ones(len(ends.points)), np.full(len(ends.points), align.wall_sigma_m**2)
-        if tolerance < 0.5 * self._parameters.particles.max_tolerance_m:
-            pose, _ = self._cloud.estimate()
-            laser = compose(pose, compose(T_now_then, self._T_base_laser))
-            points = transform_points(pose, ends.points)
-            _, gradient, valid = self._field.lookup(points)
-            rays = (points - [laser.x, laser.y]) / ends.ranges[:, None]
-            wall_variance += (align.face_error * self._field.face_error(points)) ** 2
-            across = np.where(valid, np.einsum("ni,ni->n", gradient, rays), 1.0)
-        return (self._parameters.laser.sigma(ends.ranges) * across) ** 2 + wall_variance
+        pose, covariance = self._cloud.estimate()
+        cloud = 0.5 * (covariance[0, 0] + covariance[1, 1]) + 0.5 * covariance[2, 2] * ends.ranges**2
+        laser = compose(pose, compose(T_now_then, self._T_base_laser))
+        points = transform_points(pose, ends.points)
+        _, gradient, valid = self._field.lookup(points)
+        rays = (points - [laser.x, laser.y]) / ends.ranges[:, None]
+        across = np.where(valid, np.einsum("ni,ni->n", gradient, rays), 1.0)
+        walls = align.wall_sigma_m**2 + (align.face_error * self._field.face_error(points)) ** 2
+        return (self._parameters.laser.sigma(ends.ranges) * across) ** 2 + walls + cloud
 
     def _log_likelihood(
         self, poses: FloatArray, points: FloatArray, variance: FloatArray

@@ -35,6 +35,7 @@ from __future__ import annotations
 
 import math
 import threading
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -111,7 +112,9 @@ class Slam:
         self._mapped_at = -math.inf
         self._modules = ModuleSwitches(LZN=False, MAP=False)
         self._others: list[tuple[Pose2D, float]] = []
-        method: Method = convert(rospy.get_param("~method", "ekf"), Method, rospy.get_name(), "~method")  # type: ignore[arg-type]
+        method = rospy.get_param("~method", "ekf")
+        if method not in get_args(Method):
+            raise ParameterError(rospy.get_name(), "~method", method, f"one of {', '.join(get_args(Method))}")
         # Its features of the map are computed once; ``_localizer`` is it while the module is on.
         self._made = make_localizer(method, self._grid, self._markers, self._params, self._T_base_laser)
         self._localizer: Localizer | None = None
