@@ -38,6 +38,7 @@ class ParticleParameters:
     outlier_share: Positive = 0.05  # likelihood of a beam that hits something the map does not have, by a perfect one
     effective_share: UnitInterval = 0.4  # of the particles that one observation may leave effective
     tolerance_m: Positive = 0.15  # of end points, while there are several hypotheses
+    right_share: UnitInterval = 0.05  # the same while there are several hypotheses
     converging_power: UnitInterval = 0.1  # of the likelihood, below which the cloud has yet to converge
     # A cloud counts as one hypothesis while it is narrower than this.
     one_cluster_m: Positive = 0.3
@@ -49,7 +50,7 @@ class ParticleParameters:
     near_rad: Positive = 0.1
     look_every: Annotated[int, msgspec.Meta(ge=1)] = 10  # scans, while nothing is wrong
     candidates: Count = 600  # random poses that are tried ...
-    aligned: Count = 3  # ... and how many of the likeliest are aligned
+    aligned: Count = 2  # ... and how many of the likeliest of each half are aligned
     better_fit: UnitInterval = 0.03  # by which share of the beams such a pose must fit better
     random_share: UnitInterval = 0.2  # of the particles that go there
     seed: int = 0
@@ -98,11 +99,13 @@ class ParticleFilter:
         """
         log_weights = np.log(np.maximum(self.weights, 1e-300))
         log_likelihood = log_likelihood - log_likelihood.max()
+        # Of several hypotheses most are wrong, and must be allowed to vanish.
+        share = self._parameters.effective_share if self.is_one_cluster else self._parameters.right_share
         # Powers are halved on a logarithmic scale; the smallest leaves all as it was.
         low, high, power = 1e-9, 1.0, 1.0
         for _ in range(12):
             weights = np.exp(log_weights + power * log_likelihood)
-            enough = weights.sum() ** 2 >= self._parameters.effective_share * len(weights) * (weights**2).sum()
+            enough = weights.sum() ** 2 >= share * len(weights) * (weights**2).sum()
             if enough and power == high:
                 break
             low, high = (power, high) if enough else (low, power)

@@ -238,16 +238,21 @@ class ParticleLocalizer:
         candidates = np.vstack([self._random_poses(p.candidates // 2), self._near_poses(estimate, p.candidates // 2)])
         log_likelihood, _ = self._log_likelihood(candidates, some, np.full(len(some), p.tolerance_m**2))
         found: list[FloatArray] = []
-        for k in np.argsort(log_likelihood)[-p.aligned :]:
+        half = p.candidates // 2
+        anywhere, near = np.argsort(log_likelihood[:half]), half + np.argsort(log_likelihood[half:])
+        head_start = [0.0]
+        for k in (*anywhere[-p.aligned :], *near[-p.aligned :]):
             alignment = self._alignment.align(ends, origin, Pose2D(*candidates[k].tolist()), _CANDIDATE)
             if alignment is not None:
                 covariance = np.linalg.inv(np.linalg.inv(_CANDIDATE) + alignment.information)
                 found.append(candidates[k] + covariance @ alignment.vector)
+                head_start.append(p.better_fit if k >= half else 0.0)
         if not found:
             return
         poses = np.array([(estimate.x, estimate.y, estimate.theta), *found])
         _, fit = self._log_likelihood(poses, ends.points, np.ones(len(ends.points)))
-        best = int(np.argmax(fit))
+        # Of places that fit as well, a near one with the same heading is likelier than the corridor turned round.
+        best = int(np.argmax(fit + head_start))
         if best > 0 and fit[best] > fit[0] + p.better_fit:
             size = int(p.random_share * len(self._cloud.poses))
             self._cloud.inject(poses[best] + self._rng.standard_normal((size, 3)) * _FOUND_SIGMA)
