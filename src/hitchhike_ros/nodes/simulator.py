@@ -35,6 +35,7 @@ TF: odom -> base_footprint of every robot, with the robot's name before both.
 
 from __future__ import annotations
 
+import faulthandler
 import math
 import threading
 import time
@@ -417,4 +418,5 @@ def _ratio(name: str, fast: int, slow: int) -> int:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros simulator``."""
+    faulthandler.enable()  # a crash inside pybullet says where it happened
     run("simulator", lambda: Simulator().spin())
