@@ -40,20 +40,21 @@ class FaultTest(unittest.TestCase):
     def stands_because(self, topic: str, how: Callable[[Any], Any], module: str, *words: str) -> None:
         """Spoil ``topic`` and see the robot stand in time with a diagnosis that has one of ``words``."""
         self.tamper.spoil(topic, how)
-        self.watch.until(lambda: self.commands and self.commands[-1][1] == 0.0, 30, f"a stand after {topic} failed")
-        stood, last_good = self.commands[-1][0], self.tamper.last_good[topic]
-        moved = [at for at, speed in self.commands if speed > 0.0]
-        # The first zero after the last motion, on the simulated clock.
-        stood = next(at for at, _ in self.commands if at >= moved[-1] and at > last_good) if moved else stood
-        period = 0.1  # of the sensor: the fault begins when the next message should have come
-        self.assertLessEqual(stood - (last_good + period), STOP_S, topic)
-        self.watch.until(lambda: abs(self.watch.speed(ROBOT)) < 0.02, 30, "the wheels stand")
 
         def diagnosed() -> bool:
             level, text, _ = self.watch.diagnostic(f"{ROBOT}: {module}")
             return level == DiagnosticStatus.ERROR and any(word in text for word in words)
 
         self.watch.until(diagnosed, 30, f"{module} says one of {words}")
+        self.watch.until(lambda: abs(self.watch.speed(ROBOT)) < 0.02, 30, "the wheels stand")
+        # The first zero after the last motion, on the simulated clock; a robot that stood already proves nothing, but a
+        # fault may meet one of its pauses.
+        commands, last_good = list(self.commands), self.tamper.last_good[topic]
+        last_motion = max((i for i, (_, speed) in enumerate(commands) if speed > 0.0), default=-1)
+        self.assertLess(last_motion + 1, len(commands), f"the robot is told to stand after {topic} failed")
+        stood = commands[last_motion + 1][0]
+        period = 0.1  # of the sensor: the fault begins when the next message should have come
+        self.assertLessEqual(stood - (last_good + period), STOP_S, topic)
         self.tamper.heal(topic)
 
 
