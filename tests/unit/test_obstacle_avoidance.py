@@ -90,7 +90,7 @@ def test_it_turns_through_a_door_into_the_corridor_and_out_of_it(limits: RobotLi
 
 @pytest.mark.parametrize("theta", [math.pi / 2, math.pi, -2.0])
 def test_it_turns_standing_when_the_path_starts_far_off_its_heading(theta: float) -> None:
-    drive = Drive(P3DX, CORRIDOR, Pose2D(10.0, 5.72, theta), [(10.0, 5.72), (11.5, 5.72)], Pose2D(11.5, 5.72, 0.0))
+    drive = Drive(P3DX, CORRIDOR, Pose2D(10.0, 5.72, theta), [(10.0, 5.72), (13.0, 5.72)], Pose2D(13.0, 5.72, 0.0))
     while abs(wrap_angle(drive.world.pose.theta)) > math.radians(60.0):
         assert drive.step().state == "driving"
         assert math.hypot(drive.world.pose.x - 10.0, drive.world.pose.y - 5.72) < 0.02

@@ -2,8 +2,9 @@
 
 One step: the scan becomes obstacle points (:mod:`obstacle_memory`) and a field of distances (:mod:`clearance`); the
 path is shifted around them (:mod:`detour`); motions that the robot can make (:mod:`dynamic_window`) are refused when it
-could not brake before contact, and scored along the shifted path. Where that leads nowhere, the steps of
-:mod:`recovery` follow one another, and the state is ``blocked`` until there is a way again.
+could not brake before contact, and scored along the shifted path. Near the goal a smooth curve to its pose is planned
+(:mod:`pose_approach`). Where all that leads nowhere, the steps of :mod:`recovery` follow one another, and the state is
+``blocked`` until there is a way again.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from hitchhike_ros.control.clearance import ClearanceField, Footprint
 from hitchhike_ros.control.detour import Detour, DetourPlanner
 from hitchhike_ros.control.dynamic_window import brake, roll_out, window
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
+from hitchhike_ros.control.pose_approach import CURVES, PERIOD_S, Curve, roll_out_approach
 from hitchhike_ros.control.recovery import Recovery, RecoveryStep
 from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
@@ -28,6 +30,8 @@ from hitchhike_ros.robot_model import RobotLimits
 
 State = Literal["driving", "arrived", "blocked"]
 Samples = Annotated[int, msgspec.Meta(ge=2)]
+# An approach ends within this share of the goal's tolerance; what is left of the heading is then turned standing.
+_CURVE_ENDS = 0.8
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,9 @@ class ObstacleAvoidanceParameters:
     yaw_rate_samples: Samples = 19
     turn_start_rad: Positive = 1.05  # 60°; farther off the path's heading than this, turn standing
     turn_stop_rad: Positive = 0.21  # 12°
+    approach_m: NonNegative = 1.5  # nearer to the goal than this, a curve to its pose is planned
+    approach_backwards_m: NonNegative = 1.0  # it goes backwards no farther than this: the laser does not look there
+    approach_backwards_mps: Positive = 0.4
     stand_off_m: NonNegative = 0.3  # stop this much before the last free place of a blocked way
     max_off_path_m: Positive = 1.2
     memory_s: Positive = 3.0
@@ -94,6 +101,7 @@ class _Leg:
     tolerance_rad: float
     s: float | None = None  # arc length of the robot's foot on the path
     detour: Detour | None = None
+    curve: Curve | None = None  # on which the goal is approached
     turning: bool = False
     aligning: bool = False
     settled: bool = False
@@ -259,10 +267,16 @@ class ObstacleAvoidance:
 
         goal = between(pose, leg.goal)
         distance = math.hypot(goal.x, goal.y)
-        at_goal = distance <= (leg.tolerance_m if leg.aligning else 0.3 * leg.tolerance_m)
+        near_m = 1.0 if leg.aligning else _CURVE_ENDS if leg.curve else 0.3
+        at_goal = distance <= near_m * leg.tolerance_m
         leg.aligning = at_goal or (distance <= 0.8 * leg.tolerance_m and goal.x < 0.02)
         if leg.aligning:
             return self._align(leg, now, goal.theta, twist, field, floor, limits)
+        # A rider would lose a marker that goes back or turns away; it also needs no heading where the ride ends.
+        approach = None if gentle else self._approach(leg, goal, distance, twist, field, floor, limits)
+        if approach is not None:
+            leg.watch(now, moving=True)
+            return Decision(self._ramp(now, twist, approach, limits), "driving")
 
         near = (0.0, math.inf) if leg.s is None else (leg.s - 0.5, leg.s + 2.0)
         leg.s, off_path = leg.path.project(pose.x, pose.y, *near)
@@ -297,6 +311,38 @@ class ObstacleAvoidance:
         if target is None:  # brake as hard as the base can
             return self._stand("driving", "no motion is safe")
         return Decision(self._ramp(now, twist, target, limits), "driving", "waiting for a way" if standing else "")
+
+    def _approach(
+        self,
+        leg: _Leg,
+        goal: Pose2D,
+        distance: float,
+        twist: Twist2D,
+        field: ClearanceField,
+        floor: float,
+        limits: RobotLimits,
+    ) -> Twist2D | None:
+        """The next velocities on a free curve to ``goal`` (in the robot's frame); None where there is none."""
+        p = self._params
+        if distance > p.approach_m:
+            return None
+        underway = self._underway(twist, limits)
+        # The base is one command late.
+        soon = between(Pose2D(twist.v * PERIOD_S, 0.0, twist.omega * PERIOD_S), goal)
+        near_m = 0.9 * _CURVE_ENDS * leg.tolerance_m
+        for curves in ((leg.curve,) if leg.curve else (), CURVES):
+            if not curves:
+                continue
+            plan = roll_out_approach(soon, underway, curves, limits, p.approach_backwards_mps, near_m)
+            free = field.clearance(self._footprint, plan.poses).min(axis=1) >= floor
+            usable = free & (plan.backwards_m <= p.approach_backwards_m)
+            seconds = np.where(usable, plan.seconds, np.inf)
+            best = int(np.argmin(seconds))
+            if math.isfinite(seconds[best]):
+                leg.curve = curves[best]
+                return Twist2D(float(plan.velocities[best, 0]), float(plan.velocities[best, 1]))
+        leg.curve = None
+        return None
 
     def _align(
         self,
@@ -411,18 +457,22 @@ class ObstacleAvoidance:
         """The last command moved towards ``target`` by what the acceleration limits allow since then."""
         dt = now - self._commanded_at
         dt = dt if 0.0 < dt < 0.2 else 0.1
-        rates = (limits.max_acceleration_mps2, limits.max_yaw_acceleration_rps2)
+        start = self._underway(twist, limits)
         pairs = (
-            (self._command.v, twist.v, target.v, rates[0]),
-            (self._command.omega, twist.omega, target.omega, rates[1]),
+            (start.v, target.v, limits.max_acceleration_mps2 * dt),
+            (start.omega, target.omega, limits.max_yaw_acceleration_rps2 * dt),
         )
-        values = []
-        for command, measured, wanted, rate in pairs:
-            # A base that lags behind by more than 0.4 s of acceleration is not hurried further.
-            start = min(max(command, measured - 0.4 * rate), measured + 0.4 * rate)
-            values.append(start + min(max(wanted - start, -rate * dt), rate * dt))
-        self._command, self._commanded_at = Twist2D(*values), now
+        self._command = Twist2D(*(was + min(max(wanted - was, -step), step) for was, wanted, step in pairs))
+        self._commanded_at = now
         return self._command
+
+    def _underway(self, twist: Twist2D, limits: RobotLimits) -> Twist2D:
+        """What the base is about to do: the last command; one that lags by more than 0.4 s is not hurried further."""
+        dv, dw = 0.4 * limits.max_acceleration_mps2, 0.4 * limits.max_yaw_acceleration_rps2
+        last = self._command
+        return Twist2D(
+            min(max(last.v, twist.v - dv), twist.v + dv), min(max(last.omega, twist.omega - dw), twist.omega + dw)
+        )
 
     def _stand(self, state: State, reason: str = "") -> Decision:
         self._command = Twist2D()
