@@ -187,7 +187,7 @@ def test_the_end_is_told_for_a_while_and_not_to_a_new_offer() -> None:
 def test_navigation_that_stays_stuck_ends_what_it_was_for(
     report: str, state: DriverState, then: DriverState, reason: str
 ) -> None:
-    bench = driver_in(state, stuck_timeout_s=10.0, ack_timeout_s=20.0)
+    bench = driver_in(state, stuck_timeout_s=10.0, planner_patience_s=10.0, ack_timeout_s=20.0)
     for navigation in (report, "driving", report):  # stuck for a while, then not, does not add up
         bench.navigation = navigation
         bench.wait(9.0)
@@ -197,6 +197,16 @@ def test_navigation_that_stays_stuck_ends_what_it_was_for(
     bench.wait(1.2)
     assert (bench.machine.state, bench.machine.reason) == (then, reason)
     assert [end.reason for end in bench.take(Terminate)] == ([reason] if state is not S.NAVIGATING else [])
+
+
+def test_without_a_path_it_gives_up_sooner_than_before_an_obstacle() -> None:
+    bench = driver_in(S.NAVIGATING, stuck_timeout_s=20.0, planner_patience_s=5.0)
+    for navigation in ("blocked", "failed"):  # being blocked before takes nothing off the planner's time
+        bench.navigation = navigation
+        bench.wait(4.5)
+        assert bench.machine.state is S.NAVIGATING
+    bench.wait(1.0)
+    assert bench.machine.state is S.IDLE
 
 
 def test_alone_it_stops_at_its_goal() -> None:

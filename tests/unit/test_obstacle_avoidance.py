@@ -406,3 +406,29 @@ def test_the_worlds_own_overlap_is_exact() -> None:
     assert overlaps(P3DX, Pose2D(0.05, 0.05, math.pi), box)
     assert overlaps(TURTLEBOT, Pose2D(0.15, 0.05), box)
     assert not overlaps(TURTLEBOT, compose(Pose2D(0.1), Pose2D(0.0, 0.05)), box)
+
+
+def test_busy_without_coming_on_is_no_progress_even_with_ever_new_plans() -> None:
+    controller = ObstacleAvoidance(TURTLEBOT, PARAMS)
+    world = FlatWorld(TURTLEBOT, CORRIDOR, Pose2D(10.0, 5.72, 0.0))
+    goal, said = Pose2D(20.0, 5.72, 0.0), []
+    for step in range(250):
+        if step % 20 == 0:  # as a planner does that cannot decide between two ways
+            controller.set_path(np.array([(10.0, 5.72 + 0.01 * (step % 3)), (20.0, 5.72)]), goal)
+        said.append(controller.step(world.now, world.pose, Twist2D(), world.scan(), LASER[TURTLEBOT], 0.5))
+        world.now += 0.1  # whatever is commanded, it stays where it is
+    assert any("no progress" in decision.reason for decision in said)
+
+
+def test_who_waited_long_is_not_stuck() -> None:
+    person = (11.0, 4.6, 0.3, 2.24)  # across the whole corridor
+    drive = Drive(TURTLEBOT, (*CORRIDOR, person), Pose2D(10.0, 5.72, 0.0), AHEAD, Pose2D(20.0, 5.72, 0.0))
+    for _ in range(250):
+        drive.step()
+    assert drive.decision.state == "blocked"
+    drive.world._array = drive.world._array[:-1]
+    while drive.decision.state == "blocked":
+        assert drive.world.now < 60.0
+        drive.step()
+    drive.run(40.0)
+    drive.assert_arrived()

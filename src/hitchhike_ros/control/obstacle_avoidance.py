@@ -25,7 +25,7 @@ from hitchhike_ros.control.recovery import Recovery, RecoveryStep
 from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
 from hitchhike_ros.errors import PlanningError, SensorDataError
-from hitchhike_ros.geometry import between
+from hitchhike_ros.geometry import between, distance
 from hitchhike_ros.robot_model import RobotLimits
 
 State = Literal["driving", "arrived", "blocked"]
@@ -60,6 +60,8 @@ class ObstacleAvoidanceParameters:
     memory_s: Positive = 3.0
     near_memory_s: Positive = 15.0  # for what the turning footprint could touch
     blocked_after_s: Positive = 1.0  # standing without a way on
+    # Within this distance for this long, however busily, is no progress; move_base calls it oscillation.
+    no_progress_m: Positive = 0.5
     no_progress_s: Positive = 15.0
     # Recovery, step by step; a person has often passed while it waits.
     recovery_wait_s: Positive = 5.0
@@ -106,17 +108,20 @@ class _Leg:
     aligning: bool = False
     settled: bool = False
     arrived: bool = False
-    furthest: float = 0.0
+    about: Pose2D | None = None  # where it has been busy since it last progressed
     progressed_at: float = math.inf
     moved_at: float = math.inf
+    stuck: bool = False
 
-    def watch(self, now: float, moving: bool) -> tuple[float, float]:
-        """Seconds without motion, and seconds without coming on along the path."""
+    def watch(self, now: float, moving: bool, pose: Pose2D, params: ObstacleAvoidanceParameters) -> float:
+        """Seconds without motion. ``stuck`` tells of motion that leads nowhere; who waits is not stuck."""
         if moving or now < self.moved_at:
             self.moved_at = now
-        if now < self.progressed_at or (self.s or 0.0) > self.furthest + 0.1:
-            self.furthest, self.progressed_at = self.s or 0.0, now
-        return now - self.moved_at, now - self.progressed_at
+        away = self.about is None or distance(self.about, pose) > params.no_progress_m
+        if away or not moving or now < self.progressed_at:
+            self.about, self.progressed_at = pose, now
+        self.stuck |= now - self.progressed_at >= params.no_progress_s
+        return now - self.moved_at
 
 
 class ObstacleAvoidance:
@@ -174,6 +179,8 @@ class ObstacleAvoidance:
         before, self._leg = self._leg, _Leg(reference, goal, tolerance_m, tolerance_rad)
         if before is not None and before.goal == goal:
             self._leg.moved_at = before.moved_at
+            if not before.stuck:  # after that another path is another chance
+                self._leg.about, self._leg.progressed_at = before.about, before.progressed_at
         else:
             self._recovery.reset()
 
@@ -265,21 +272,25 @@ class ObstacleAvoidance:
         # Closer than the margin (a person stepped up): what comes no closer is still allowed.
         floor = min(p.margin_m, clearance - 0.005 if clearance > 0.02 else clearance)
 
+        if leg.stuck:
+            return self._stand("blocked", f"no progress for {p.no_progress_s:.0f} s")
+
         goal = between(pose, leg.goal)
-        distance = math.hypot(goal.x, goal.y)
+        left_m = math.hypot(goal.x, goal.y)
         near_m = 1.0 if leg.aligning else _CURVE_ENDS if leg.curve else 0.3
-        at_goal = distance <= near_m * leg.tolerance_m
-        leg.aligning = at_goal or (distance <= 0.8 * leg.tolerance_m and goal.x < 0.02)
+        at_goal = left_m <= near_m * leg.tolerance_m
+        leg.aligning = at_goal or (left_m <= 0.8 * leg.tolerance_m and goal.x < 0.02)
         if leg.aligning:
-            return self._align(leg, now, goal.theta, twist, field, floor, limits)
+            return self._align(leg, now, pose, goal.theta, twist, field, floor, limits)
         # A rider would lose a marker that goes back or turns away; it also needs no heading where the ride ends.
-        approach = None if gentle else self._approach(leg, goal, distance, twist, field, floor, limits)
+        near = left_m <= p.approach_m and not gentle
+        approach = self._approach(leg, goal, twist, field, floor, limits) if near else None
         if approach is not None:
-            leg.watch(now, moving=True)
+            leg.watch(now, True, pose, p)
             return Decision(self._ramp(now, twist, approach, limits), "driving")
 
-        near = (0.0, math.inf) if leg.s is None else (leg.s - 0.5, leg.s + 2.0)
-        leg.s, off_path = leg.path.project(pose.x, pose.y, *near)
+        stretch = (0.0, math.inf) if leg.s is None else (leg.s - 0.5, leg.s + 2.0)
+        leg.s, off_path = leg.path.project(pose.x, pose.y, *stretch)
         if off_path > p.max_off_path_m:
             return self._stand("blocked", f"{off_path:.2f} m off the path")
         leg.detour = self._detour_planner.plan(leg.path, leg.s, pose, field, leg.detour)
@@ -301,13 +312,11 @@ class ObstacleAvoidance:
             target = self._turn(heading, twist, field, floor, limits) if leg.turning else None
             target = target or self._best(twist, way, field, floor, limits, gentle)
         standing = target is None or (abs(target.v) < 0.01 and abs(target.omega) < 0.02)
-        waited, stuck = leg.watch(now, not standing)
+        waited = leg.watch(now, not standing, pose, p)
         if waited >= p.blocked_after_s:
             gap = way.length + self._limits.front_m
             why = f"no way past an obstacle {gap:.1f} m ahead" if leg.detour.blocked else "no motion is safe"
             return self._stand("blocked", why)
-        if stuck >= p.no_progress_s:
-            return self._stand("blocked", f"no progress for {p.no_progress_s:.0f} s")
         if target is None:  # brake as hard as the base can
             return self._stand("driving", "no motion is safe")
         return Decision(self._ramp(now, twist, target, limits), "driving", "waiting for a way" if standing else "")
@@ -316,7 +325,6 @@ class ObstacleAvoidance:
         self,
         leg: _Leg,
         goal: Pose2D,
-        distance: float,
         twist: Twist2D,
         field: ClearanceField,
         floor: float,
@@ -324,8 +332,6 @@ class ObstacleAvoidance:
     ) -> Twist2D | None:
         """The next velocities on a free curve to ``goal`` (in the robot's frame); None where there is none."""
         p = self._params
-        if distance > p.approach_m:
-            return None
         underway = self._underway(twist, limits)
         # The base is one command late.
         soon = between(Pose2D(twist.v * PERIOD_S, 0.0, twist.omega * PERIOD_S), goal)
@@ -348,6 +354,7 @@ class ObstacleAvoidance:
         self,
         leg: _Leg,
         now: float,
+        pose: Pose2D,
         error: float,
         twist: Twist2D,
         field: ClearanceField,
@@ -360,7 +367,7 @@ class ObstacleAvoidance:
             leg.arrived = abs(twist.v) < 0.05 and abs(twist.omega) < 0.1
             return self._stand("arrived" if leg.arrived else "driving")
         target = self._turn(error, twist, field, floor, limits)
-        waited, _ = leg.watch(now, target is not None)
+        waited = leg.watch(now, target is not None, pose, self._params)
         if target is not None:
             return Decision(self._ramp(now, twist, target, limits), "driving")
         return self._stand("blocked" if waited >= self._params.blocked_after_s else "driving", "no room to turn")

@@ -150,7 +150,7 @@ class DriverMachine(Machine[DriverState]):
         self._acked_at = 0.0
         self._following = True
         self._odometer_at: Pose2D | None = None
-        self._stuck_since = 0.0
+        self._stuck_since = self._planned_at = 0.0
 
     def step(self, event: object, now: float) -> list:
         """As Machine.step; while engaged only the hitchhiker of the current ride is heard."""
@@ -422,12 +422,18 @@ class DriverMachine(Machine[DriverState]):
         """ARRIVED, or why the current goal is given up; None while navigation is at it."""
         goal, report = self.goal, self.situation.navigation
         current = goal is not None and report is not None and report.goal_id == goal.id
-        if report is None or not current or report.state not in ("blocked", "failed"):
+        state = report.state if report is not None and current else ""
+        if state != "failed":
+            self._planned_at = self._now
+        if state not in ("blocked", "failed"):
             self._stuck_since = self._now
-            return ARRIVED if report is not None and current and report.state == "arrived" else None
-        if self._now - max(self._stuck_since, self._entered) <= self.params.stuck_timeout_s:
-            return None  # a new order is not stuck because the one before was
-        return f"{CANNOT_GO_ON}: {report.reason}"
+            return ARRIVED if state == "arrived" else None
+        # A new order is not stuck because the one before was.
+        without_plan = self._now - max(self._planned_at, self._entered)
+        stuck = self._now - max(self._stuck_since, self._entered)
+        if without_plan <= self.params.planner_patience_s and stuck <= self.params.stuck_timeout_s:
+            return None
+        return f"{CANNOT_GO_ON}: {report.reason if report is not None else ''}"
 
     def _state_fields(self) -> dict[str, Any]:
         estimate = self.situation.estimate

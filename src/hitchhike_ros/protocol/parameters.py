@@ -38,7 +38,8 @@ class HitchhikingParameters:
     decouple_timeout_s: Positive = 10.0
     settle_timeout_s: Positive = 3.0  # for standing still before the relative pose is taken
     localize_timeout_s: Positive = 5.0
-    stuck_timeout_s: Positive = 30.0  # navigation that is blocked or without a path for so long has failed
+    stuck_timeout_s: Positive = 30.0  # navigation that is blocked for so long has failed
+    planner_patience_s: Positive = 5.0  # or that has no path for so long; the name and value are move_base's
     robot_timeout_s: Positive = 3.0  # another robot is forgotten when it says nothing for so long
 
     gap_m: Positive = 0.8  # d2, camera to marker
