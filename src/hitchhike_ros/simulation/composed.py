@@ -47,6 +47,7 @@ from hitchhike_ros.servoing.follow import FollowLaw, FollowParameters
 from hitchhike_ros.servoing.marker_detector import MarkerDetector, MarkerDetectorParameters
 from hitchhike_ros.simulation.robot import SimulatedRobot
 from hitchhike_ros.simulation.world import World
+from hitchhike_ros.simulation.world_file import RobotEntry
 
 FRAME_RATE_HZ = 10
 ODOMETRY_PER_FRAME = 2
@@ -61,10 +62,11 @@ class ComposedRobot:
         grid: OccupancyGrid,
         sites: Sites,
         package: Path,
-        model: str,
+        entry: RobotEntry,
         localization_method: Method = "ekf",
     ) -> None:
-        config, mounts = package / "config" / f"{model}.yaml", fixed_transforms(package / "urdf" / f"{model}.urdf")
+        config = package / "config" / f"{entry.model}.yaml"
+        mounts = fixed_transforms(package / "urdf" / f"{entry.model}.urdf")
         self.name, self.body = body.name, body
         self.limits = load_parameters(RobotLimits, "robot", config)
         self._T_base_laser = pose_from_matrix(mounts["laser"])
@@ -83,7 +85,9 @@ class ComposedRobot:
         self._detector = MarkerDetector(load_parameters(MarkerDetectorParameters, "marker_detector", config))
         camera = pose_from_matrix(mounts["camera"])
         self._follow = FollowLaw(load_parameters(FollowParameters, "follow", config), self.limits, camera.x)
-        params = load_parameters(HitchhikingParameters, "hitchhiking", config)
+        # Robots of one model share its file, but not the marker on the back.
+        own = {} if entry.marker is None else {"marker_id": entry.marker}
+        params = load_parameters(HitchhikingParameters, "hitchhiking", config, own)
         self.traveller = Traveller(
             self.name,
             params,
@@ -229,7 +233,7 @@ class ComposedRide:
                 self.world.grid,
                 self.world.file.sites,
                 self.package,
-                entry.model,
+                entry,
                 self.localization_method,
             )
             self.robots[name] = robot
