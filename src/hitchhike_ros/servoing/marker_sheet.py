@@ -32,7 +32,7 @@ _RULER_MM = 100.0
 class Sheet:
     """A marker to print.
 
-    ``cells`` (N, N): true is white, top row first; of a tag its black edge and what is within, of a QR code its modules.
+    ``cells`` (N, N): true is white, top row first; a tag with its black edge, or the modules of a QR code.
     ``size_m`` is their width. Around them ``quiet`` white cells are cut out with them where the paper is large enough,
     and at least one.
     """
