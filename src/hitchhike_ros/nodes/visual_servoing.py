@@ -59,7 +59,8 @@ from hitchhike_ros.ros_io.conversions import (
 )
 from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
 from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
-from hitchhike_ros.servoing.follow import Decision, FollowLaw, FollowParameters
+from hitchhike_ros.servoing.follow import Decision, FollowLaw
+from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.marker_detector import (
     MarkerDetection,
     MarkerDetector,
