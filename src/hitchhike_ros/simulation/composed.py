@@ -52,6 +52,7 @@ from hitchhike_ros.servoing.marker_detector import MarkerDetector, MarkerDetecto
 from hitchhike_ros.simulation.faults import Fault, FaultKind
 from hitchhike_ros.simulation.robot import SimulatedRobot
 from hitchhike_ros.simulation.world import World
+from hitchhike_ros.simulation.world_file import RobotEntry
 
 FRAME_RATE_HZ = 10
 ODOMETRY_PER_FRAME = 2
@@ -74,14 +75,16 @@ class ComposedRobot:
         grid: OccupancyGrid,
         sites: Sites,
         package: Path,
-        model: str,
+        entry: RobotEntry,
         localization_method: Method = "ekf",
         changes: Changes | None = None,
     ) -> None:
-        config, mounts = package / "config" / f"{model}.yaml", fixed_transforms(package / "urdf" / f"{model}.urdf")
+        config = package / "config" / f"{entry.model}.yaml"
+        mounts = fixed_transforms(package / "urdf" / f"{entry.model}.urdf")
+        changes = changes or {}
 
         def load(cls: type[T], section: str) -> T:
-            return load_parameters(cls, section, config, (changes or {}).get(section))
+            return load_parameters(cls, section, config, changes.get(section))
 
         self.name, self.body = body.name, body
         self.limits = load(RobotLimits, "robot")
@@ -102,7 +105,11 @@ class ComposedRobot:
         camera = pose_from_matrix(mounts["camera"])
         self._follow = FollowLaw(load(FollowParameters, "follow"), self.limits, camera.x)
         self._guard = Guard(self.limits, self._T_base_laser)
-        params = load(HitchhikingParameters, "hitchhiking")
+        # Robots of one model share its file, but not the marker on the back.
+        own = {} if entry.marker is None else {"marker_id": entry.marker}
+        params = load_parameters(
+            HitchhikingParameters, "hitchhiking", config, {**own, **changes.get("hitchhiking", {})}
+        )
         self.traveller = Traveller(
             self.name,
             params,
@@ -286,7 +293,7 @@ class ComposedRide:
                 self.world.grid,
                 self.world.file.sites,
                 self.package,
-                entry.model,
+                entry,
                 self.localization_method,
                 self.changes.get(name),
             )
