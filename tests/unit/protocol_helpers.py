@@ -119,6 +119,19 @@ class Bench:
             self.now += 0.1
             self.step(Tick(self.situation()))
 
+    def lose_driver(self, then: HitchhikerState) -> None:
+        """A rider that has come to the step before ``then`` comes to it."""
+        if then is HitchhikerState.SEEKING:
+            self.gap = None
+        elif then is HitchhikerState.CATCHING_UP:
+            self.pose = Pose2D(1.7, 5.72)
+        elif then is HitchhikerState.RECOUPLING:
+            self.gap = 1.3
+        while self.machine.state is not then and self.now < 1100.0:
+            self.wait()
+            if then is not HitchhikerState.SEEKING and round(self.now * 10) % 5 == 0:
+                self.hear(Driver)
+
     def hear(self, cls: type[Message], **changes: Any) -> None:
         """A message of the present ride from the other robot."""
         machine = self.machine
@@ -181,7 +194,9 @@ def driver_in(state: DriverState, planner: Planner = corridor_path, **params: An
 def rider_in(state: HitchhikerState, **params: Any) -> Bench:
     """A hitchhiker that has come to ``state`` on the usual way."""
     S = HitchhikerState
-    way = list(S)
+    way = [S.IDLE, S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING, S.RIDING]
+    lost = [S.SEEKING, S.LOCATING, S.CATCHING_UP, S.RECOUPLING]
+    reached = way.index(state) if state in way else len(way)
     bench = Bench(HitchhikerMachine(RIDER, HitchhikingParameters(**params), CAMERA), pose=WEST.waiting_pose)
     machine = bench.machine
     bench.wait()
@@ -189,15 +204,17 @@ def rider_in(state: HitchhikerState, **params: Any) -> Bench:
         bench.step(GoalGiven(RIDER_GOAL))
         bench.wait()
     for cls, then in ((Accept, S.LOCKING), (Ack, S.AWAITING_ALIGNED), (Aligned, S.COUPLING)):
-        if way.index(state) >= way.index(then):
+        if reached >= way.index(then):
             bench.hear(cls, **({"of": Lock.type} if cls is Ack else {}))
-    if way.index(state) >= way.index(S.RIDING):
+    if reached >= way.index(S.RIDING):
         bench.gap = machine.params.gap_m
         bench.wait(machine.params.repeat_period_s + 0.2)
         bench.pose = None  # localization is off
         bench.hear(Driver)
         bench.wait()
-    if way.index(state) >= way.index(S.SETTLING):
+    for then in lost[: lost.index(state) + 1] if state in lost else ():
+        bench.lose_driver(then)
+    if state in (S.SETTLING, S.RELOCALIZING):
         bench.hear(Decouple)
     if state is S.RELOCALIZING:
         bench.wait(machine.params.repeat_period_s + 0.2)

@@ -11,7 +11,7 @@ from protocol_helpers import BOXES, CAMERA, DRIVER, MARKER_POSE, RIDER, RIDER_GO
 from hitchhike_ros.datatypes import Pose2D, PoseEstimate
 from hitchhike_ros.errors import TransitionError
 from hitchhike_ros.geometry import compose, distance, wrap_angle
-from hitchhike_ros.protocol.hitchhiker import BEFORE_RIDE, COUPLED, HitchhikerState
+from hitchhike_ros.protocol.hitchhiker import BEFORE_RIDE, COUPLED, RETURNING, HitchhikerState
 from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, TakeObstacles, TakePose, Tick
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
@@ -235,23 +235,19 @@ def test_the_drivers_speed_is_fed_forward_only_while_it_is_fresh_and_never_into_
     assert (bench.machine.state, bench.machine.servo.feed_forward_mps) == (S.COUPLING, 0.0)
 
 
-@pytest.mark.parametrize(("lost", "reason"), [("marker", "Driver lost"), ("messages", "No message from the driver")])
-def test_a_lost_driver_leaves_a_rough_pose_and_a_robot_that_goes_on_alone(lost: str, reason: str) -> None:
-    bench = rider_in(S.RIDING)
+def test_a_driver_that_falls_silent_leaves_a_rough_pose_and_a_robot_that_goes_on_alone() -> None:
+    bench, reason = rider_in(S.RIDING), "No message from the driver"
     at = Pose2D(12.0, 5.72, 0.1)
     expected = _behind(bench, at)
     message = {"x": at.x, "y": at.y, "theta": at.theta}
     bench.hear(Driver, **message)
     bench.clear()
-    bench.gap = None if lost == "marker" else bench.gap
     while bench.machine.state is S.RIDING:
         bench.wait()
-        if lost == "marker" and bench.machine.state is S.RIDING:
-            bench.hear(Driver, **message)
     end, pose, boxes = bench.take((Terminate, TakePose, TakeObstacles))
     assert (bench.machine.state, end.reason, boxes.obstacles) == (S.RELOCALIZING, reason, BOXES)
     assert distance(pose.estimate.pose, expected) < 0.01
-    silent_m = 0.0 if lost == "marker" else 0.5 * bench.machine.params.message_timeout_s
+    silent_m = 0.5 * bench.machine.params.message_timeout_s
     assert np.all(np.sqrt(np.diag(pose.estimate.covariance)) >= [0.5 + silent_m, 0.5 + silent_m, 0.3])  # and it says so
     bench.hear(Driver, **message)  # the driver has not heard that it was lost
     assert [m.reason for m in bench.take(Terminate)] == [reason]
@@ -259,6 +255,137 @@ def test_a_lost_driver_leaves_a_rough_pose_and_a_robot_that_goes_on_alone(lost: 
     assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, reason, RIDER_GOAL)
     bench.hear(Decouple)
     assert [type(m) for m in bench.take(Message)] == [Terminate]  # nothing was handed over, so nothing is acknowledged
+
+
+# A driver out of sight: seek it, localize, catch up, couple anew; or go on alone.
+
+
+def _told(bench: Bench, metres: float = 3.0) -> Pose2D:
+    """The driver has told of a straight way along x; where it stands at the end."""
+    for x in np.arange(10.0, 10.0 + metres, 0.25):
+        bench.hear(Driver, x=float(x), y=5.72, theta=0.0)
+    return Pose2D(float(x), 5.72)
+
+
+def test_a_marker_out_of_view_is_sought_by_servoing_and_the_driver_is_told() -> None:
+    bench = rider_in(S.RIDING)
+    bench.gap = None
+    bench.wait(bench.machine.params.repeat_period_s + 0.2)
+    assert (bench.machine.state, bench.machine.reason) == (S.SEEKING, "Driver out of sight")
+    assert bench.machine.servo.task == "follow"
+    bench.clear()
+    bench.hear(Driver)
+    assert [a.following for a in bench.take(Ack)] == [False]
+    bench.gap = 0.7
+    bench.wait()
+    assert (bench.machine.state, bench.machine.reason) == (S.RIDING, "Driver seen again")
+    bench.hear(Driver)
+    assert bench.take(Ack)[0].following
+
+
+def test_a_driver_that_is_not_found_is_caught_up_with_on_its_own_track() -> None:
+    bench = rider_in(S.RIDING)
+    driver = _told(bench)
+    bench.clear()
+    bench.lose_driver(S.SEEKING)
+    assert bench.take((TakePose, Terminate)) == []  # nobody gives up yet
+    expected = compose(compose(driver, MARKER_POSE), Pose2D(0.8 + CAMERA[0], 0.0, np.pi))
+    while bench.machine.state is S.SEEKING:
+        bench.wait()
+        bench.hear(Driver, x=driver.x, y=driver.y, theta=driver.theta)
+    pose, boxes = bench.take((TakePose, TakeObstacles))
+    assert (bench.machine.state, bench.machine.modules.LZN, boxes.obstacles) == (S.LOCATING, True, BOXES)
+    assert distance(pose.estimate.pose, expected) < 0.01
+    assert np.sqrt(pose.estimate.covariance[0, 0]) >= 0.5
+    assert (bench.machine.servo, bench.machine.way) == (None, None)  # it stands
+    _localized(bench, Pose2D(driver.x - 3.0, 5.72))
+    bench.wait()
+    way = bench.machine.way
+    assert (bench.machine.state, bench.machine.servo.task) == (S.CATCHING_UP, "observe")
+    assert (way.x, way.y, way.theta) == (pytest.approx(driver.x - 1.6, abs=0.2), 5.72, pytest.approx(0.0))
+    assert not any(isinstance(m, Terminate) for m in bench.take(Message))
+    bench.gap = 1.3
+    bench.wait()
+    assert (bench.machine.state, bench.machine.servo.task, bench.machine.way) == (S.RECOUPLING, "follow", None)
+    bench.gap = 0.8
+    bench.wait(bench.machine.params.repeat_period_s + 0.2)
+    assert (bench.machine.state, len(bench.take(Coupled))) == (S.RIDING, 1)
+
+
+def test_a_driver_that_goes_on_is_followed_to_where_it_goes() -> None:
+    bench = rider_in(S.CATCHING_UP)
+    _told(bench, 2.0)
+    bench.wait()
+    first = bench.machine.way
+    bench.wait()
+    assert bench.machine.way == first  # not a new order each time
+    bench.hear(Driver, x=12.5, y=5.72, theta=0.0)
+    bench.wait(0.2)
+    assert bench.machine.way.id != first.id
+    assert bench.machine.way.x > first.x + 0.2
+
+
+def test_one_that_is_near_its_driver_turns_to_it_and_does_not_go_back() -> None:
+    bench = rider_in(S.CATCHING_UP)
+    driver = _told(bench)
+    bench.pose = Pose2D(driver.x - 1.0, 5.92, 1.5)
+    bench.wait(0.2)
+    way = bench.machine.way
+    assert (way.x, way.y) == (bench.pose.x, bench.pose.y)
+    assert way.theta == pytest.approx(np.arctan2(-0.2, 0.75))
+
+
+def test_a_marker_that_is_seen_far_away_is_driven_up_to_first() -> None:
+    bench = rider_in(S.CATCHING_UP)
+    bench.gap = 3.0
+    bench.wait()
+    assert bench.machine.state is S.CATCHING_UP
+
+
+@pytest.mark.parametrize(
+    ("state", "limit", "then", "reason"),
+    [
+        (S.SEEKING, "seek_timeout_s", S.LOCATING, "Driver lost"),
+        (S.LOCATING, "localize_timeout_s", S.IDLE, "Driver lost; localization did not answer"),
+        (S.CATCHING_UP, "catch_up_timeout_s", S.IDLE, "Driver not caught up with"),
+        (S.RECOUPLING, "max_couple_s", S.IDLE, "Large couple_time"),
+    ],
+)
+def test_every_step_of_the_search_ends_by_itself(
+    state: HitchhikerState, limit: str, then: HitchhikerState, reason: str
+) -> None:
+    bench = rider_in(state)
+    limit_s, entered = getattr(bench.machine.params, limit), bench.machine._entered
+    bench.pose = None if state is S.LOCATING else bench.pose
+    while bench.now - entered < limit_s - 0.2:
+        bench.wait()
+        bench.hear(Driver)
+    assert bench.machine.state is state
+    bench.clear()
+    bench.wait(0.5)
+    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (then, reason, RIDER_GOAL)
+    assert [m.reason for m in bench.take(Terminate)][:1] == ([reason] if then is S.IDLE else [])
+
+
+@pytest.mark.parametrize("state", [S.SEEKING, S.LOCATING, S.CATCHING_UP, S.RECOUPLING])
+@pytest.mark.parametrize("how", ["silence", "terminate", "decouple"])
+def test_a_driver_that_does_not_wait_leaves_a_robot_that_goes_on_alone(state: HitchhikerState, how: str) -> None:
+    bench = rider_in(state, localize_timeout_s=10.0)
+    if how == "silence":
+        bench.gap = 1.3 if state is S.RECOUPLING else None
+        bench.pose = bench.pose if state not in (S.SEEKING, S.LOCATING) else None
+        bench.wait(bench.machine.params.message_timeout_s + 0.2)
+    elif how == "terminate":
+        bench.hear(Terminate, reason="Hitchhiker lost")
+    else:
+        bench.hear(Decouple)
+        bench.gap = None
+        bench.wait(bench.machine.params.settle_timeout_s + 0.2)
+    expected = {"silence": "No message from the driver", "terminate": "Hitchhiker lost", "decouple": "Driver lost"}[how]
+    if bench.machine.state is not S.IDLE:
+        assert bench.machine.state is S.RELOCALIZING
+        _localized(bench, Pose2D(1.7, 5.72))
+    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, expected, RIDER_GOAL)
 
 
 # Decoupling.
@@ -354,8 +481,9 @@ def test_localization_that_never_answers_does_not_hold_it() -> None:
 def test_the_goal_may_be_cancelled_in_every_state(state: HitchhikerState) -> None:
     bench = rider_in(state)
     bench.step(GoalCancelled())
-    told = {S.IDLE: [], S.REQUESTING: [], S.RELOCALIZING: [], S.RIDING: [Terminate], S.SETTLING: [Terminate]}
-    assert [type(m) for m in bench.take(Message)] == told.get(state, [RequestCancel])
+    told = Terminate if state in (*COUPLED, *RETURNING) else RequestCancel
+    nobody = state in (S.IDLE, S.REQUESTING, S.RELOCALIZING)
+    assert [type(m) for m in bench.take(Message)] == ([] if nobody else [told])
     _localized(bench, Pose2D(1.7, 5.72))
     assert bench.machine.state is S.IDLE
     assert bench.machine.offer is None
@@ -411,10 +539,12 @@ def test_no_message_and_no_lack_of_knowledge_raises(state: HitchhikerState, cls:
 @pytest.mark.parametrize("state", S)
 def test_the_modules_of_each_state(state: HitchhikerState) -> None:
     machine = rider_in(state).machine
-    alone = ModuleSwitches(PP=True, OBS=True, LZN=True, MAP=True, COM=True, VS=state is S.COUPLING)
+    sees = (S.COUPLING, S.CATCHING_UP, S.RECOUPLING)
+    alone = ModuleSwitches(PP=True, OBS=True, LZN=True, MAP=True, COM=True, VS=state in sees)
     riding = ModuleSwitches(PP=False, OBS=False, LZN=False, MAP=False, COM=True, VS=True)
     assert machine.modules == (riding if state in COUPLED else alone)
-    assert (machine.servo is not None) == (state in (S.COUPLING, *COUPLED))
+    assert (machine.servo is not None) == (state in (*sees, *COUPLED))
     if machine.servo is not None:
-        assert (machine.servo.task, machine.servo.marker_id, machine.servo.gap_m) == ("follow", 0, 0.8)
+        task = "observe" if state is S.CATCHING_UP else "follow"
+        assert (machine.servo.task, machine.servo.marker_id, machine.servo.gap_m) == (task, 0, 0.8)
     assert (machine.ride is not None) == (state not in (S.IDLE, S.REQUESTING))

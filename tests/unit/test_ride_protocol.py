@@ -147,6 +147,7 @@ class World:
     passes: Filter = lambda _now, _message: True
     now: float = 500.0
     until: float = math.inf
+    lost_timeout_s: float = 40.0
     sent: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
@@ -154,7 +155,7 @@ class World:
         self.flying: list[tuple[float, str]] = []
 
         def robot(name: str, start: Pose2D, goal: Pose2D, **params: Any) -> Robot:
-            settings = HitchhikingParameters(**params)
+            settings = HitchhikingParameters(**params, lost_timeout_s=self.lost_timeout_s)
             traveller = Traveller(name, settings, SITES, corridor_path, MARKER_POSE, CAMERA, 0.3)
             traveller.step(GoalGiven(goal), self.now)
             return Robot(traveller, start)
@@ -302,16 +303,42 @@ def test_a_driver_that_hears_again_of_a_ride_that_was_given_up_goes_on_at_once()
     assert waits[-1] == pytest.approx(530.0, abs=1.0)
 
 
-@pytest.mark.parametrize("blind_s", [1.0, 5.0])
-def test_a_rider_that_loses_sight_of_its_driver(blind_s: float) -> None:
+@pytest.mark.parametrize(
+    ("blind_s", "through"),
+    [
+        (1.0, ["seeking", "riding"]),
+        (5.0, ["seeking", "riding"]),
+        (10.0, ["seeking", "locating", "catching_up", "recoupling", "riding"]),
+        (200.0, ["seeking", "locating", "catching_up", "navigating"]),
+    ],
+)
+def test_a_rider_that_loses_sight_of_its_driver(blind_s: float, through: list[str]) -> None:
     world = World()
     world.run(until=lambda: world.driver.pose.x > 10.0)
     world.rider.blind = True
-    world.run(blind_s)
+    before = len(world.rider.statuses)
+    world.run(blind_s, until=lambda: "navigating" in _states(world.rider))
     world.rider.blind = False
     world.come_to_an_end()
-    assert world.completed == (blind_s < 2.0)
-    assert ("Driver lost" in world.rider.reports) == (blind_s > 2.0)
+    lost = _states(world.rider)[_states(world.rider).index("riding") + 1 :]
+    assert lost[: len(through)] == through
+    assert world.completed == (through[-1] == "riding")
+    reasons = {status.reason for status in world.rider.statuses[before:]}
+    assert "Driver out of sight" in reasons  # every step is seen from outside
+    assert ("Driver not caught up with" in reasons) == (through[-1] != "riding")
+    waited = [status for status in world.driver.statuses if status.state == "waiting_for_rider"]
+    assert {status.reason for status in waited} == {"Hitchhiker does not follow"}
+
+
+def test_a_driver_that_has_waited_long_enough_goes_on_and_says_so() -> None:
+    world = World(lost_timeout_s=5.0)
+    world.run(until=lambda: world.driver.pose.x > 10.0)
+    world.rider.blind = True
+    world.come_to_an_end()
+    assert "Hitchhiker lost" in world.driver.reports
+    assert "Hitchhiker lost" in world.rider.reports
+    waits = [s.time_stamp for s in world.driver.statuses if s.state == "waiting_for_rider"]
+    assert waits[-1] - waits[0] == pytest.approx(5.0, abs=0.3)
 
 
 @pytest.mark.parametrize("who", ["rider", "driver"])
@@ -442,6 +469,10 @@ _USUAL: dict[str, tuple[type[Message], ...]] = {
     "locking": (Ack,),
     "awaiting_aligned": (Aligned,),
     "riding": (Driver, Decouple),
+    "seeking": (Driver,),
+    "locating": (Driver,),
+    "catching_up": (Driver,),
+    "recoupling": (Driver,),
     "navigating": (Request,),
     "offering": (Lock,),
     "aligned": (Coupled,),
@@ -451,8 +482,9 @@ _USUAL: dict[str, tuple[type[Message], ...]] = {
 def _walk(seed: int, steps: int) -> set[str]:
     """A traveller to whom everything happens, what is usual more often than the rest; the states that it saw."""
     rng = random.Random(seed)
-    traveller = _traveller(min_ride_m=5.0, may_ride=seed % 2 == 0)
-    now, visited = 0.0, set()
+    traveller = _traveller(min_ride_m=5.0, may_ride=seed % 2 == 0, seek_timeout_s=0.5)
+    now = 0.0
+    visited: set[str] = set()
 
     def tick(duration: float, localized: bool = True, seen: bool = False, arrived: bool = False) -> None:
         nonlocal now
@@ -466,6 +498,7 @@ def _walk(seed: int, steps: int) -> set[str]:
                 observation=marker if seen else None,
             )
             traveller.step(Tick(situation), now)
+            visited.add(f"{'rider' if traveller.rides else 'driver'} {traveller.status(now).state}")
 
     for _ in range(steps):
         match rng.choices(("goal", "message", "time"), (1, 20, 15))[0]:

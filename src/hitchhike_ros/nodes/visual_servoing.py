@@ -7,6 +7,8 @@ Subscribed:
     hhike_msg/status (std_msgs/String): whether the module is on, and which marker to follow or observe
     camera/image_raw (sensor_msgs/Image: mono8, rgb8 or bgr8), camera/camera_info (sensor_msgs/CameraInfo, plumb_bob),
     odom (nav_msgs/Odometry): only while the module is on
+    scan (sensor_msgs/LaserScan): likewise, where there is a config and the URDF has a laser: what comes between is
+        braked for
 Published, once an image:
     visual_servoing/observations (std_msgs/String): JSON of all markers seen, in base_footprint
     visual_servoing/object_position (geometry_msgs/PoseStamped), object_position_covariance
@@ -41,25 +43,30 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMsg
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
+from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import Int8, String
 
 from hitchhike_ros.datatypes import CameraInfo, FloatArray, MarkerObservation, Positive, Twist2D
 from hitchhike_ros.errors import ParameterError, SensorDataError, VisionError
+from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.observations import encode_observations
 from hitchhike_ros.protocol.status import ServoCommand, Status
-from hitchhike_ros.robot_model import RobotLimits, mount
+from hitchhike_ros.robot_model import RobotLimits, fixed_transforms, mount
 from hitchhike_ros.ros_io.conversions import (
     camera_info_from_msg,
     image_from_msg,
     image_to_msg,
     odometry_from_msg,
     quaternion_from_rotation,
+    scan_from_msg,
     twist_to_msg,
 )
 from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
 from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
-from hitchhike_ros.servoing.follow import Decision, FollowLaw, FollowParameters
+from hitchhike_ros.servoing.follow import Decision, FollowLaw
+from hitchhike_ros.servoing.follow_parameters import FollowParameters
+from hitchhike_ros.servoing.guard import Guard
 from hitchhike_ros.servoing.marker_detector import (
     MarkerDetection,
     MarkerDetector,
@@ -70,6 +77,8 @@ from hitchhike_ros.servoing.marker_detector import (
 ANY_MARKER = -1
 # States of visp_auto_tracker; 2, 4 and 5 belong to a model-based tracker.
 NO_IMAGE, SEEKING, SEEN = 0, 1, 3
+# What following says of itself; the rest are errors.
+_LEVELS = {"following": OK, "searching": WARN, "coasting": WARN, "looking": WARN, "turning": WARN}
 # Distortion models that OpenCV's coefficients describe; a camera without distortion may name none.
 LENSES = ("plumb_bob", "rational_polynomial", "")
 # Optical frame (z forward, x right, y down) of a camera that looks along the robot's x axis.
@@ -100,11 +109,14 @@ class VisualServoing:
             mount(path_parameter("urdf"), "camera_optical") if rospy.has_param("~urdf") else T_FORWARD_OPTICAL
         )
         self._law: FollowLaw | None = None
+        self._guard: Guard | None = None
         if rospy.has_param("~config"):
             limits = node_parameters(RobotLimits, "robot")
             self._law = FollowLaw(
                 node_parameters(FollowParameters, "follow"), limits, camera_x_m=float(self._T_base_camera[0, 3])
             )
+            laser = fixed_transforms(path_parameter("urdf")).get("laser") if rospy.has_param("~urdf") else None
+            self._guard = None if laser is None else Guard(limits, pose_from_matrix(laser))
         self._camera_frame = frame("camera_optical")
         self._lock = threading.RLock()
         self._servo: ServoCommand | None = None
@@ -128,6 +140,7 @@ class VisualServoing:
                 ("odom", OdometryMsg, self._on_odometry),
                 ("camera/camera_info", CameraInfoMsg, self._on_camera_info),
                 ("camera/image_raw", Image, self._on_image),
+                *([] if self._guard is None else [("scan", LaserScanMsg, self._on_scan)]),
             ]
         )
         if rospy.get_param("~always_on", False):
@@ -201,6 +214,15 @@ class VisualServoing:
                 return
             self._odometry_problem = ""
 
+    def _on_scan(self, msg: LaserScanMsg) -> None:
+        with self._lock:
+            if self._guard is None:
+                return
+            try:
+                self._guard.see(scan_from_msg(msg))
+            except SensorDataError:  # obstacle_avoidance says so; without a scan the guard lets pass
+                self._diagnostics.count("bad_scans")
+
     def _on_camera_info(self, msg: CameraInfoMsg) -> None:
         with self._lock:
             self._info = camera_info_from_msg(msg) if msg.distortion_model in LENSES else None
@@ -261,11 +283,12 @@ class VisualServoing:
         problem = problem or self._odometry_problem
         if problem:
             decision = Decision(Twist2D(), "stopped", problem)
-        self._commands.publish(twist_to_msg(decision.twist))
-        level = {"following": OK, "searching": WARN}.get(decision.state, bad)
+        twist, guarded = (decision.twist, False) if self._guard is None else self._guard.limit(now, decision.twist)
+        self._commands.publish(twist_to_msg(twist))
+        level = _LEVELS.get(decision.state, bad)
         gap = "" if decision.gap_m is None else round(decision.gap_m, 3)
         message = f"{decision.state}: {decision.reason}" if decision.reason else decision.state
-        self._diagnostics.set(level, message, gap_m=gap)
+        self._diagnostics.set(level, message, gap_m=gap, braked_for_an_obstacle=guarded)
 
     def _watch(self, _event: rospy.timer.TimerEvent) -> None:
         """Images that stay away must not leave the robot driving."""

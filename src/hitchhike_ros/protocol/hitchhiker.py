@@ -1,7 +1,15 @@
-"""The hitchhiker of P17 Algorithm 2 as a table: ask, lock, wait, couple, ride, take over the pose, go on."""
+"""The hitchhiker of P17 Algorithm 2 as a table: ask, lock, wait, couple, ride, take over the pose, go on.
+
+A driver that is lost from sight is sought by the camera first (``seeking``, while servoing coasts and looks around).
+What fails there goes on by itself: it localizes from what it knows of the driver (``locating``), drives up behind the
+driver, who waits (``catching_up``), couples anew (``recoupling``), and rides on. Whichever of these fails or takes too
+long ends the ride, and the robot drives to its goal alone, as P17 §4 does at once.
+"""
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from enum import Enum
 from typing import Any
 
@@ -36,14 +44,26 @@ from hitchhike_ros.protocol.messages import (
     Terminate,
 )
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.protocol.status import ModuleSwitches, RideStatus, ServoCommand
+from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatus, ServoCommand
 
 DRIVER_NOT_FOUND = "Driver not found"
 DRIVER_LOST = "Driver lost"
 DRIVER_SILENT = "No message from the driver"
 DRIVER_NOT_ALIGNED = "Driver did not align"
 NOT_COUPLED = "Large couple_time"
+NOT_CAUGHT = "Driver not caught up with"
 RIDE_CANCELLED = "Goal cancelled"
+
+# Why a ride that goes on is not simply ridden.
+OUT_OF_SIGHT = "Driver out of sight"
+SEEN_AGAIN = "Driver seen again"
+
+# Of the driver's places those are kept that are this far apart, and as many metres of them (chosen).
+_TOLD_STEP_M, _TOLD_M = 0.2, 4.0
+# The place behind the driver from where it couples anew: so much farther off than the gap, and how well it is reached.
+_CATCH_UP_M, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD = 0.4, 0.25, 0.25
+# A marker that is seen nearer than this beyond the gap can be coupled with, a farther one may be behind a corner.
+_COUPLING_REACH_M = 1.2
 
 # What a pose from the driver's message may be off by when the marker is lost: x, y in m, theta in rad (chosen).
 _LOST_SIGMA = (0.5, 0.5, 0.3)
@@ -60,13 +80,18 @@ class HitchhikerState(Enum):
     AWAITING_ALIGNED = "awaiting_aligned"
     COUPLING = "coupling"
     RIDING = "riding"
+    SEEKING = "seeking"
+    LOCATING = "locating"
+    CATCHING_UP = "catching_up"
+    RECOUPLING = "recoupling"
     SETTLING = "settling"
     RELOCALIZING = "relocalizing"
 
 
 S = HitchhikerState
 BEFORE_RIDE = (S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING)
-COUPLED = (S.RIDING, S.SETTLING)
+COUPLED = (S.RIDING, S.SEEKING, S.SETTLING)
+RETURNING = (S.LOCATING, S.CATCHING_UP, S.RECOUPLING)
 
 
 class HitchhikerMachine(Machine[HitchhikerState]):
@@ -87,10 +112,16 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Deny, "_offer_withdrawn", (S.REQUESTING,)),
         Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Terminate, "_offer_withdrawn", (S.REQUESTING,)),
         Row((S.COUPLING,), Tick, "_watch_gap", (S.RIDING,)),
-        Row((S.RIDING,), Tick, "_watch_driver", (S.RELOCALIZING,)),
-        Row((S.RIDING,), Driver, "_acknowledge"),
-        Row((S.RIDING,), Decouple, "_settle", (S.SETTLING,)),
-        Row((S.RIDING,), Terminate, "_abandoned", (S.RELOCALIZING,)),
+        Row((S.RIDING,), Tick, "_watch_driver", (S.SEEKING, S.RELOCALIZING)),
+        Row((S.SEEKING,), Tick, "_seek", (S.RIDING, S.RELOCALIZING)),
+        Row((S.LOCATING,), Tick, "_locate", (S.CATCHING_UP, S.RELOCALIZING)),
+        Row((S.CATCHING_UP,), Tick, "_catch_up", (S.RECOUPLING, S.IDLE)),
+        Row((S.RECOUPLING,), Tick, "_recouple", (S.RIDING, S.IDLE)),
+        Row((S.RIDING, S.SEEKING, *RETURNING), Driver, "_acknowledge"),
+        Row((S.RIDING, S.SEEKING), Decouple, "_settle", (S.SETTLING,)),
+        Row((S.RIDING, S.SEEKING, S.LOCATING), Terminate, "_abandoned", (S.RELOCALIZING,)),
+        Row((S.CATCHING_UP, S.RECOUPLING), Terminate, "_left_behind", (S.IDLE,)),
+        Row(RETURNING, Decouple, "_overtaken", (S.RELOCALIZING, S.IDLE)),
         Row((S.SETTLING,), Decouple, "_newer_pose"),
         Row((S.SETTLING,), Tick, "_take_over", (S.RELOCALIZING,)),
         Row((S.SETTLING,), Terminate, "_abandoned", (S.RELOCALIZING,)),
@@ -99,7 +130,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Row((S.RELOCALIZING, S.IDLE), Driver, "_answer_late"),
         Row((S.IDLE,), Aligned, "_answer_late"),
         Row(BEFORE_RIDE, GoalCancelled, "_cancel", (S.IDLE,)),
-        Row(COUPLED, GoalCancelled, "_cancel_ride", (S.RELOCALIZING,)),
+        Row((*COUPLED, S.LOCATING), GoalCancelled, "_cancel_ride", (S.RELOCALIZING,)),
+        Row((S.CATCHING_UP, S.RECOUPLING), GoalCancelled, "_cancel_return", (S.IDLE,)),
         Row((S.IDLE, S.RELOCALIZING), GoalCancelled, "_nothing_to_cancel"),
     )
     TIMEOUTS = (
@@ -107,6 +139,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Timeout(S.LOCKING, "confirm_timeout_s", "_lock_lost", (S.REQUESTING,)),
         Timeout(S.AWAITING_ALIGNED, "max_align_s", "_not_aligned", (S.REQUESTING,)),
         Timeout(S.COUPLING, "max_couple_s", "_not_coupled", (S.REQUESTING,)),
+        Timeout(S.SEEKING, "seek_timeout_s", "_not_found", (S.LOCATING,)),
+        Timeout(S.LOCATING, "localize_timeout_s", "_give_up_locating", (S.IDLE,)),
+        Timeout(S.CATCHING_UP, "catch_up_timeout_s", "_not_caught", (S.IDLE,)),
+        Timeout(S.RECOUPLING, "max_couple_s", "_not_recoupled", (S.IDLE,)),
         Timeout(S.SETTLING, "settle_timeout_s", "_take_over_now", (S.RELOCALIZING,)),
         Timeout(S.RELOCALIZING, "localize_timeout_s", "_give_up_localizing", (S.IDLE,)),
     )
@@ -129,6 +165,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._settled_pose: PoseEstimate | None = None
         self._taken_over = False  # by the handover of this ride
         self._track = DriverTrack()
+        self._told: deque[Pose2D] = deque()  # where the driver said that it was, on this ride
+        self._ways = 0
+        self._way: GoalCommand | None = None
+        self._aimed_at = Pose2D()
 
     def step(self, event: object, now: float) -> list:
         """As Machine.step; messages of other rides than the current one are ignored."""
@@ -145,12 +185,19 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     @property
     def servo(self) -> ServoCommand | None:
-        if self.offer is None or self.state not in (S.COUPLING, *COUPLED):
+        if self.offer is None or self.state not in (S.COUPLING, S.CATCHING_UP, S.RECOUPLING, *COUPLED):
             return None
+        if self.state is S.CATCHING_UP:
+            return ServoCommand("observe", self.offer.marker_id, self.offer.marker_size_m)
         # A driver that has fallen silent may be standing: its old speed must not push.
         fresh = self._now - self._heard_at <= self.params.ack_timeout_s
         speed = self._report_at.v if fresh and isinstance(self._report_at, Driver) else 0.0
         return ServoCommand("follow", self.offer.marker_id, self.offer.marker_size_m, self.params.gap_m, speed)
+
+    @property
+    def way(self) -> GoalCommand | None:
+        """Where it drives to by itself during a ride: up behind the driver that it has lost."""
+        return self._way if self.state is S.CATCHING_UP else None
 
     @property
     def ride(self) -> RideStatus | None:
@@ -220,22 +267,12 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._ask_again(message.reason)
 
     def _watch_gap(self, _tick: Tick) -> None:
-        gap = self.gap_m()
-        settled = (
-            gap is not None
-            and abs(gap - self.params.gap_m) <= self.params.gap_tolerance_m
-            and abs(self.situation.speed_mps) <= self.params.standstill_mps
-        )
-        if gap is None or not settled:
-            self._in_gap_since = None
+        gap = self._settled_gap()
+        if gap is None:
             return
-        if self._in_gap_since is None:
-            self._in_gap_since = self._now
-        if self._now - self._in_gap_since >= self.params.repeat_period_s:
-            self._seen_at = self._heard_at = self._now
-            self._track = DriverTrack()
-            self._go(S.RIDING)
-            self._send_coupled(gap)
+        self._heard_at = self._now
+        self._track, self._told = DriverTrack(), deque()
+        self._start_riding(gap, "")
 
     def _watch_driver(self, _tick: Tick) -> None:
         gap = self.gap_m()
@@ -243,10 +280,42 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._seen_at = self._now
             if self._report_at is None and self._every(self.params.repeat_period_s, "coupled"):
                 self._send_coupled(gap)
-        if self._now - self._seen_at > self.params.servo_timeout_s:
-            self._lose_driver(DRIVER_LOST)
-        elif self._now - self._heard_at > self.params.message_timeout_s:
+        if self._silent():
             self._lose_driver(DRIVER_SILENT)
+        elif gap is None and self._now - self._seen_at > self.params.repeat_period_s:
+            self._go(S.SEEKING, OUT_OF_SIGHT)
+
+    def _seek(self, _tick: Tick) -> None:
+        gap = self.gap_m()
+        if self._silent():
+            self._lose_driver(DRIVER_SILENT)
+        elif gap is not None:
+            self._start_riding(gap, SEEN_AGAIN)
+
+    def _locate(self, _tick: Tick) -> None:
+        if self._silent():
+            self._tell(Terminate(**self._to_driver(), reason=DRIVER_SILENT))
+            self._go(S.RELOCALIZING, DRIVER_SILENT)
+        elif self._located():
+            self._go(S.CATCHING_UP, OUT_OF_SIGHT)
+            self._way = None
+
+    def _catch_up(self, _tick: Tick) -> None:
+        gap = self.gap_m()
+        if self._silent():
+            self._go_alone(DRIVER_SILENT)
+        elif gap is not None and gap <= self.params.gap_m + _COUPLING_REACH_M:
+            self._in_gap_since = None
+            self._go(S.RECOUPLING, SEEN_AGAIN)
+        else:
+            self._aim_behind_driver()
+
+    def _recouple(self, _tick: Tick) -> None:
+        gap = self._settled_gap()
+        if self._silent():
+            self._go_alone(DRIVER_SILENT)
+        elif gap is not None:
+            self._start_riding(gap, SEEN_AGAIN)
 
     def _acknowledge(self, message: Driver) -> None:
         self._hear(message)
@@ -254,7 +323,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if seen is not None and own is not None and self.offer is not None:
             self._track.add(compose(own, seen.pose), compose(message.pose, self.offer.marker_pose))
         gap = self.gap_m()
-        following = gap is not None and self._now - self._seen_at <= self.params.repeat_period_s
+        following = self.state is S.RIDING and gap is not None
         self._send(Ack(**self._to_driver(), of=message.type, acknowledges=message.seq, following=following, gap_m=gap))
 
     def _settle(self, message: Decouple) -> None:
@@ -284,12 +353,20 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _abandoned(self, message: Terminate) -> None:
         self._relocalize(self._rough_pose(), message.reason)
 
+    def _left_behind(self, message: Terminate) -> None:
+        self._finish(message.reason)
+
+    def _overtaken(self, message: Decouple) -> None:
+        """The driver has come to the end of the ride without its rider."""
+        self._hear(message)
+        self._tell(Terminate(**self._to_driver(), reason=DRIVER_LOST))
+        if self.state is S.LOCATING:
+            self._go(S.RELOCALIZING, DRIVER_LOST)
+        else:
+            self._finish(DRIVER_LOST)
+
     def _watch_localization(self, _tick: Tick) -> None:
-        taken, estimate = self._settled_pose, self.situation.estimate
-        if taken is None or estimate is None or estimate.stamp <= taken.stamp:
-            return
-        # Localization may wake up with what it knew where it went to sleep.
-        if distance(taken.pose, estimate.pose) <= _TAKEN_M:
+        if self._located():
             self._finish(self.reason)
 
     def _answer_late(self, message: Decouple | Driver | Aligned) -> None:
@@ -310,6 +387,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self.goal = None
         self._relocalize(self._rough_pose(), RIDE_CANCELLED)
 
+    def _cancel_return(self, _event: GoalCancelled) -> None:
+        self.goal = None
+        self._go_alone(RIDE_CANCELLED)
+
     def _nothing_to_cancel(self, _event: GoalCancelled) -> None:
         self.goal = None
 
@@ -329,6 +410,19 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _not_coupled(self) -> None:
         self._tell(Terminate(**self._to_driver(), reason=NOT_COUPLED))
         self._ask_again(NOT_COUPLED)
+
+    def _not_found(self) -> None:
+        self._restart_from(self._rough_pose())
+        self._go(S.LOCATING, DRIVER_LOST)
+
+    def _give_up_locating(self) -> None:
+        self._go_alone(f"{DRIVER_LOST}; localization did not answer")
+
+    def _not_caught(self) -> None:
+        self._go_alone(NOT_CAUGHT)
+
+    def _not_recoupled(self) -> None:
+        self._go_alone(NOT_COUPLED)
 
     def _give_up_localizing(self) -> None:
         self._finish(f"{self.reason}; localization did not answer".lstrip("; "))
@@ -360,6 +454,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _hear(self, message: Driver | Decouple) -> None:
         self._heard_at, self._report_at, self.ridden_m = self._now, message, message.ridden_m
+        if not self._told or distance(self._told[-1], message.pose) >= _TOLD_STEP_M:
+            self._told.append(message.pose)
+        while distance(self._told[0], message.pose) > _TOLD_M:
+            self._told.popleft()
 
     def _new_request(self) -> None:
         self._rides, self._taken_over = self._rides + 1, False
@@ -378,17 +476,76 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._go(S.IDLE, reason)
         self.offer = None
 
+    def _go_alone(self, reason: str) -> None:
+        """The ride is over for one that knows where it is."""
+        self._tell(Terminate(**self._to_driver(), reason=reason))
+        self._finish(reason)
+
+    def _silent(self) -> bool:
+        return self._now - self._heard_at > self.params.message_timeout_s
+
+    def _settled_gap(self) -> float | None:
+        """The gap to the driver, once it stands in it for a while."""
+        gap = self.gap_m()
+        settled = (
+            gap is not None
+            and abs(gap - self.params.gap_m) <= self.params.gap_tolerance_m
+            and abs(self.situation.speed_mps) <= self.params.standstill_mps
+        )
+        if not settled:
+            self._in_gap_since = None
+            return None
+        if self._in_gap_since is None:
+            self._in_gap_since = self._now
+        return gap if self._now - self._in_gap_since >= self.params.repeat_period_s else None
+
+    def _start_riding(self, gap: float, reason: str) -> None:
+        self._seen_at = self._now
+        self._go(S.RIDING, reason)
+        self._send_coupled(gap)
+
+    def _located(self) -> bool:
+        """Whether localization goes on from the pose that it was given."""
+        taken, estimate = self._settled_pose, self.situation.estimate
+        if taken is None or estimate is None or estimate.stamp <= taken.stamp:
+            return False
+        # It may wake up with what it knew where it went to sleep.
+        return distance(taken.pose, estimate.pose) <= _TAKEN_M
+
+    def _aim_behind_driver(self) -> None:
+        """The way to where the marker is straight ahead: a place that the driver has driven over, or a turn on the spot
+        for one that is near already. A new order only when the driver has gone on."""
+        estimate = self.situation.estimate
+        if self.offer is None or estimate is None or not self._told:
+            return
+        driver = self._told[-1]
+        if self._way is not None and driver == self._aimed_at:
+            return
+        marker = compose(driver, self.offer.marker_pose)
+        off = self._camera[0] + self.params.gap_m + _CATCH_UP_M
+        places = (estimate.pose, *reversed(self._told))
+        near = distance(estimate.pose, marker) < off
+        place = places[0] if near else next((p for p in places[1:] if distance(p, marker) >= off), places[-1])
+        heading = math.atan2(marker.y - place.y, marker.x - place.x)
+        self._ways, self._aimed_at = self._ways + 1, driver
+        order = f"{self.ride_id}-behind-{self._ways}"
+        self._way = GoalCommand(order, place.x, place.y, heading, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD)
+
     def _lose_driver(self, reason: str) -> None:
         self._tell(Terminate(**self._to_driver(), reason=reason))
         self._relocalize(self._rough_pose(), reason)
 
     def _relocalize(self, pose: PoseEstimate | None, reason: str) -> None:
+        self._restart_from(pose)
+        self._go(S.RELOCALIZING, reason)
+
+    def _restart_from(self, pose: PoseEstimate | None) -> None:
+        """Localization and mapping take over from the ride."""
         self._settled_pose = pose
         if pose is not None:
             self._effects.append(TakePose(pose))
         if self._report_at is not None and self._report_at.new_obstacles.obstacles:
             self._effects.append(TakeObstacles(self._report_at.new_obstacles.obstacles))
-        self._go(S.RELOCALIZING, reason)
 
     def _driver_estimate(self) -> PoseEstimate | None:
         message = self._report_at

@@ -32,9 +32,10 @@ class HitchhikingParameters:
     repeat_period_s: Positive = 0.5  # of whatever is not yet acknowledged
     confirm_timeout_s: Positive = 3.0  # of an offer or a lock
     ack_timeout_s: Positive = 1.5  # the driver stops when acknowledgements are missing for so long
-    lost_timeout_s: Positive = 15.0  # T_lost: then the driver goes on without its rider
+    lost_timeout_s: Positive = 40.0  # T_lost: then the driver goes on without its rider
     message_timeout_s: Positive = 5.0  # the rider gives up when the driver says nothing for so long
-    servo_timeout_s: Positive = 2.0  # the rider gives up when it has not seen the marker for so long
+    seek_timeout_s: Positive = 8.0  # for finding the marker again by coasting and turning
+    catch_up_timeout_s: Positive = 20.0  # for driving up behind a driver that waits
     decouple_timeout_s: Positive = 10.0
     settle_timeout_s: Positive = 3.0  # for standing still before the relative pose is taken
     localize_timeout_s: Positive = 5.0

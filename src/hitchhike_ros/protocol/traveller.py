@@ -83,7 +83,7 @@ class Traveller:
             state=machine.state.value,
             reason=machine.reason,
             modules=machine.modules,
-            goal=None if self.rides else self.driver.goal,
+            goal=self.hitchhiker.way if self.rides else self.driver.goal,
             speed_limit_mps=self.driver.speed_limit_mps,
             servo=machine.servo,
             ride=machine.ride,

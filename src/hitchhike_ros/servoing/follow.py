@@ -1,9 +1,10 @@
 """Riding behind a marker: the follower drives the driver's track at a constant gap (P17 §3, step 3).
 
-Position-based law for a unicycle. What the camera sees is joined with the own wheel odometry (no localization: that is
-off during a ride) to a short trail of where the driver's axle has been. Steering is pure pursuit along that trail, so
-boxes that the driver went around are gone around, not cut; the speed holds the gap and feeds the driver's own speed
-forward. The law reads no clock; all coordinates are in the follower's ``odom`` frame unless said otherwise.
+What the camera sees is joined with the own wheel odometry (no localization: that is off during a ride) to an estimate
+of the driver's motion and a short trail of where its axle has been. One of the :mod:`servo_laws` turns both into
+velocities; they are bent so that the marker stays in view and are saturated. A driver out of sight is searched for by
+:mod:`driver_search`. Nothing here reads a clock; all coordinates are in the follower's ``odom`` frame unless said
+otherwise.
 """
 
 from __future__ import annotations
@@ -15,49 +16,20 @@ from typing import Literal
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Odometry, Pose2D, Positive, Twist2D
+from hitchhike_ros.datatypes import MarkerObservation, Odometry, Pose2D, Twist2D
 from hitchhike_ros.errors import SensorDataError
 from hitchhike_ros.geometry import compose, wrap_angle
 from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.servoing.driver_estimate import DriverEstimate
+from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
+from hitchhike_ros.servoing.follow_parameters import FollowParameters
+from hitchhike_ros.servoing.servo_laws import Target, View, make_law, saturate
+from hitchhike_ros.servoing.trail import Trail
 
-# Noise that the own wheels add to a measured step of the driver (chosen).
-ODOMETRY_SIGMA_M = 0.003
-# An estimated speed below this is none (chosen).
-STANDING_MPS = 0.05
-# The follower's place on the trail is sought this far ahead of the last one, so that a loop is not cut short (chosen).
-REACH_M = 1.0
 # A follower farther than this from the trail of a driver that it lost does not go back to it (chosen).
 STRAY_M = 0.5
 
-State = Literal["searching", "following", "lost", "stopped"]
-
-
-@dataclass(frozen=True)
-class FollowParameters:
-    """Section ``follow``; all values are chosen."""
-
-    gap_gain: Positive = 1.2
-    """Closing speed for each metre of gap error, 1/s."""
-    lookahead_m: Positive = 0.5
-    """Pure pursuit aims at the point of the trail this far ahead."""
-    max_bearing_rad: Positive = 0.35
-    """The heading keeps the marker's bearing within this; half the field of view is 0.52, half a plate at 0.8 m 0.1."""
-    view_gain: Positive = 3.0
-    """How fast the bearing may approach that limit, 1/s."""
-    max_yaw_rate_rps: Positive = 1.2
-    lost_timeout_s: Positive = 0.5
-    """Without an observation for longer than this the driver is lost: stop."""
-    odometry_timeout_s: Positive = 0.4
-    marker_offset_m: Positive = 0.30
-    """How far the marker is behind the driver's axle."""
-    trail_step_m: Positive = 0.03
-    """Distance of the trail's points."""
-    driver_acceleration_mps2: Positive = 1.2
-    """Standard deviation of the driver's acceleration, for the estimate of its speed."""
-    driver_yaw_rate_rps: Positive = 0.5
-    """Standard deviation of the driver's yaw rate, for the estimate of its heading."""
-    feed_forward_sigma_mps: Positive = 0.3
-    """Trust in the speed that the driver tells; it is older than what the camera sees."""
+State = Literal["searching", "following", "coasting", "looking", "turning", "lost", "stopped"]
 
 
 @dataclass(frozen=True)
@@ -80,6 +52,8 @@ class FollowLaw:
 
     def __init__(self, params: FollowParameters, limits: RobotLimits, camera_x_m: float) -> None:
         self._params, self._limits, self._camera_x = params, limits, camera_x_m
+        self._law = make_law(params, limits)
+        self._max_omega = min(params.max_yaw_rate_rps, limits.max_yaw_rate_rps)
         self._odometry: deque[Odometry] = deque()
         self.reset()
 
@@ -87,6 +61,7 @@ class FollowLaw:
         """Forget the driver; odometry is kept."""
         self._driver: DriverEstimate | None = None
         self._trail = Trail()
+        self._search: DriverSearch | None = None
 
     def add_odometry(self, odometry: Odometry) -> None:
         """The newest reading of the wheels.
@@ -137,19 +112,45 @@ class FollowLaw:
         driver = self._driver
         if driver is None:
             return Decision(Twist2D(), "searching", "marker not seen yet")
-        unseen = now - driver.stamp
-        if unseen > p.lost_timeout_s:
-            return Decision(Twist2D(), "lost", f"marker not seen for {unseen:.2f} s")
+        if now - driver.stamp > p.lost_timeout_s:
+            return self._search_driver(now, driver)
+        return self._follow(now, driver, gap_m)
+
+    def _follow(self, now: float, driver: DriverEstimate, gap_m: float) -> Decision:
         own = self._odometry[-1].pose
+        target = self._target(now, own, driver)
+        v, omega = self._law.velocities(View(own, self._trail, target, driver.speed), gap_m)
+        # Bearing's rate is drift - omega.
+        across = wrap_angle(driver.heading - own.theta) - target.bearing
+        drift = (driver.speed * math.sin(across) + v * math.sin(target.bearing)) / max(target.gap, 0.1)
+        omega = self._keep_in_view(omega, target.bearing, drift)
+        twist = saturate(v, omega, self._limits.max_speed_mps, self._max_omega)
+        return Decision(twist, "following", "", target.gap, target.bearing)
+
+    def _search_driver(self, now: float, driver: DriverEstimate) -> Decision:
+        own = self._odometry[-1].pose
+        if self._search is None:
+            bearing = self._target(driver.stamp + self._params.lost_timeout_s, own, driver).bearing
+            turned = wrap_angle(driver.heading - own.theta)
+            departure = Departure(max(self._odometry[-1].twist.v, 0.0), bearing, turned)
+            self._search = DriverSearch(self._params, self._limits, departure, now)
+        place = self._trail.advance(own.x, own.y)
+        ahead = self._camera_x + self._params.marker_offset_m + self._params.coast_stop_m
+        twist, state = self._search.step(now, own, self._trail, self._trail.length - place - ahead)
+        return Decision(twist, state, f"marker not seen for {now - driver.stamp:.2f} s")
+
+    def _target(self, now: float, own: Pose2D, driver: DriverEstimate) -> Target:
         camera, marker = compose(own, Pose2D(self._camera_x)), driver.marker_at(now)
         dx, dy = marker[0] - camera.x, marker[1] - camera.y
-        gap, bearing = math.hypot(dx, dy), wrap_angle(math.atan2(dy, dx) - own.theta)
-        v = max(0.0, driver.speed + self._closing_speed(gap - gap_m))
-        # Bearing's rate is drift - omega.
-        across = wrap_angle(driver.heading - own.theta) - bearing
-        drift = (driver.speed * math.sin(across) + v * math.sin(bearing)) / max(gap, 0.1)
-        omega = self._keep_in_view(v * self._curvature(own), bearing, drift)
-        return Decision(self._saturate(v, omega), "following", "", gap, bearing)
+        c, s = math.cos(own.theta), math.sin(own.theta)
+        heading = driver.heading - own.theta
+        return Target(
+            c * dx + s * dy,
+            c * dy - s * dx,
+            driver.speed * math.cos(heading),
+            driver.speed * math.sin(heading),
+            self._camera_x,
+        )
 
     def _see(self, observation: MarkerObservation, feed_forward_mps: float) -> None:
         own = self._pose_at(observation.stamp)
@@ -157,6 +158,7 @@ class FollowLaw:
             return
         p = self._params
         marker = compose(own, observation.pose)
+        self._search = None
         if self._driver is None:
             self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance)
             self._trail = Trail((own.x, own.y), self._driver.axle)
@@ -173,19 +175,6 @@ class FollowLaw:
         if feed_forward_mps > 0.0:
             self._driver.tell_speed(feed_forward_mps)
 
-    def _closing_speed(self, error: float) -> float:
-        """What closes a gap error; no faster than half the own acceleration brakes, as the driver may brake too."""
-        closing = self._params.gap_gain * error
-        return min(closing, math.sqrt(self._limits.max_acceleration_mps2 * error)) if error > 0.0 else closing
-
-    def _curvature(self, own: Pose2D) -> float:
-        """Pure pursuit of the trail."""
-        s = self._trail.advance(own.x, own.y)
-        target = self._trail.at(s + self._params.lookahead_m)
-        dx, dy = target[0] - own.x, target[1] - own.y
-        lateral = -math.sin(own.theta) * dx + math.cos(own.theta) * dy
-        return 2.0 * lateral / max(dx * dx + dy * dy, 0.04)
-
     def _keep_in_view(self, omega: float, bearing: float, drift: float) -> float:
         """The yaw rate nearest to ``omega`` with which the bearing nears its limit no faster than exponentially.
 
@@ -193,12 +182,6 @@ class FollowLaw:
         """
         gain, limit = self._params.view_gain, self._params.max_bearing_rad
         return max(drift - gain * (limit - bearing), min(drift + gain * (limit + bearing), omega))
-
-    def _saturate(self, v: float, omega: float) -> Twist2D:
-        """Both scaled together, so that the curvature is kept."""
-        max_omega = min(self._params.max_yaw_rate_rps, self._limits.max_yaw_rate_rps)
-        scale = max(1.0, v / self._limits.max_speed_mps, abs(omega) / max_omega)
-        return Twist2D(v / scale, omega / scale)
 
     def _pose_at(self, stamp: float) -> Pose2D | None:
         """Own pose when the image was taken, between two readings of the odometry; None outside of what is known."""
@@ -217,110 +200,3 @@ class FollowLaw:
         a, b = before.pose, after.pose
         turn = wrap_angle(b.theta - a.theta)
         return Pose2D(a.x + f * (b.x - a.x), a.y + f * (b.y - a.y), a.theta + f * turn)
-
-
-class DriverEstimate:
-    """Heading and speed of the driver by two small Kalman filters; its position is taken as seen.
-
-    ``marker``, ``axle`` and ``heading`` are in the follower's odometry frame at ``stamp``.
-    """
-
-    def __init__(self, params: FollowParameters, stamp: float, marker: Pose2D, covariance: FloatArray) -> None:
-        self._params = params
-        self.stamp = stamp
-        self.heading = wrap_angle(marker.theta + math.pi)
-        self._heading_variance = float(covariance[2, 2])
-        self.marker = (marker.x, marker.y)
-        self._measured = 0.0
-        # Distance along its way since it was first seen, and speed; how fast it is at first nobody knows.
-        self._state = np.zeros(2)
-        self._P = np.diag([float(covariance[0, 0]), 0.5**2])
-
-    @property
-    def speed(self) -> float:
-        """Speed of the driver in m/s; what is less than its noise is a stand, or the follower would creep up."""
-        speed = float(self._state[1])
-        return speed if abs(speed) > STANDING_MPS else 0.0
-
-    @property
-    def axle(self) -> tuple[float, float]:
-        """Where the middle of the driver's axle is."""
-        offset = self._params.marker_offset_m
-        return self.marker[0] + offset * math.cos(self.heading), self.marker[1] + offset * math.sin(self.heading)
-
-    def marker_at(self, now: float) -> tuple[float, float]:
-        """The marker's position carried on to ``now``."""
-        ahead = self.speed * max(0.0, now - self.stamp)
-        return self.marker[0] + ahead * math.cos(self.heading), self.marker[1] + ahead * math.sin(self.heading)
-
-    def update(self, stamp: float, marker: Pose2D, covariance: FloatArray) -> None:
-        """A newer observation: the marker's pose in ``odom``, its covariance in the own base frame."""
-        p, dt = self._params, stamp - self.stamp
-        predicted = self._heading_variance + (p.driver_yaw_rate_rps * dt) ** 2
-        gain = predicted / (predicted + float(covariance[2, 2]))
-        self.heading = wrap_angle(self.heading + gain * wrap_angle(marker.theta + math.pi - self.heading))
-        self._heading_variance = (1.0 - gain) * predicted
-        dx, dy = marker.x - self.marker[0], marker.y - self.marker[1]
-        self._measured += dx * math.cos(self.heading) + dy * math.sin(self.heading)
-        F = np.array([[1.0, dt], [0.0, 1.0]])
-        G = np.array([0.5 * dt * dt, dt]) * p.driver_acceleration_mps2
-        self._state = F @ self._state
-        self._P = F @ self._P @ F.T + np.outer(G, G)
-        self._correct(np.array([1.0, 0.0]), self._measured, float(covariance[0, 0]) + ODOMETRY_SIGMA_M**2)
-        self.marker, self.stamp = (marker.x, marker.y), stamp
-
-    def tell_speed(self, speed_mps: float) -> None:
-        """The speed from the driver's message."""
-        self._correct(np.array([0.0, 1.0]), speed_mps, self._params.feed_forward_sigma_mps**2)
-
-    def _correct(self, H: FloatArray, measured: float, variance: float) -> None:
-        K = self._P @ H / (H @ self._P @ H + variance)
-        self._state = self._state + K * (measured - H @ self._state)
-        self._P = self._P - np.outer(K, H @ self._P)
-
-
-class Trail:
-    """The driver's track, a polyline by arc length, and how far along it the follower is."""
-
-    def __init__(self, *points: tuple[float, float]) -> None:
-        self._points = [np.array(point, dtype=float) for point in points]
-        self._s = [0.0]
-        for a, b in zip(self._points, self._points[1:], strict=False):
-            self._s.append(self._s[-1] + float(np.linalg.norm(b - a)))
-        self._own = 0.0
-
-    def extend(self, point: tuple[float, float], heading: float, step: float) -> None:
-        """The driver is at ``point``: taken when it is ``step`` metres on, and in the direction that it looks to."""
-        leg = np.array(point) - self._points[-1]
-        length = float(np.linalg.norm(leg))
-        if length >= step and leg[0] * math.cos(heading) + leg[1] * math.sin(heading) > 0.0:
-            self._points.append(np.array(point))
-            self._s.append(self._s[-1] + length)
-
-    def advance(self, x: float, y: float) -> float:
-        """Arc length of the follower at (x, y): of the nearest point at most ``REACH_M`` ahead of where it was."""
-        p = np.array([x, y])
-        best, best_distance = self._own, math.inf
-        for a, b, s in zip(self._points, self._points[1:], self._s, strict=False):
-            leg = b - a
-            length = float(np.linalg.norm(leg))
-            if length == 0.0 or s + length < self._own or s > self._own + REACH_M:
-                continue
-            f = min(max(float((p - a) @ leg) / length**2, 0.0), 1.0)
-            d = float(np.linalg.norm(a + f * leg - p))
-            if d < best_distance:
-                best, best_distance = s + f * length, d
-        self._own = max(self._own, best)
-        while len(self._points) > 2 and self._s[1] < self._own - 0.5:
-            self._points.pop(0)
-            self._s.pop(0)
-        return self._own
-
-    def at(self, s: float) -> tuple[float, float]:
-        """The point at arc length ``s``; past the driver, straight on."""
-        if s >= self._s[-1]:
-            leg = self._points[-1] - self._points[-2]
-            ahead = self._points[-1] + leg * (s - self._s[-1]) / max(float(np.linalg.norm(leg)), 1e-9)
-            return float(ahead[0]), float(ahead[1])
-        points = np.array(self._points)
-        return float(np.interp(s, self._s, points[:, 0])), float(np.interp(s, self._s, points[:, 1]))

@@ -6,16 +6,18 @@ that of the nodes, and a test compares the two on one ride.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
-from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate
+from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.localization.localizer import LocalizerParameters
 from hitchhike_ros.localization.methods import Localizer, Method, make_localizer
@@ -40,17 +42,28 @@ from hitchhike_ros.protocol.machine import (
 )
 from hitchhike_ros.protocol.messages import encode
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.protocol.status import Status
+from hitchhike_ros.protocol.status import ServoCommand, Status
 from hitchhike_ros.protocol.traveller import Traveller
 from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
-from hitchhike_ros.servoing.follow import FollowLaw, FollowParameters
+from hitchhike_ros.servoing.follow import FollowLaw
+from hitchhike_ros.servoing.follow_parameters import FollowParameters
+from hitchhike_ros.servoing.guard import Guard
 from hitchhike_ros.servoing.marker_detector import MarkerDetector, MarkerDetectorParameters
+from hitchhike_ros.simulation.faults import Fault, FaultKind
 from hitchhike_ros.simulation.robot import SimulatedRobot
 from hitchhike_ros.simulation.world import World
 from hitchhike_ros.simulation.world_file import RobotEntry
 
 FRAME_RATE_HZ = 10
 ODOMETRY_PER_FRAME = 2
+# Without an image for longer than this the node visual_servoing stands.
+_IMAGE_TIMEOUT_S = 0.3
+# Grey value of an image in which something is held before the lens.
+_COVERED_GRAY = 90
+
+T = TypeVar("T")
+# What differs from a robot's parameter file: field by section.
+Changes = Mapping[str, Mapping[str, object]]
 
 
 class ComposedRobot:
@@ -64,30 +77,39 @@ class ComposedRobot:
         package: Path,
         entry: RobotEntry,
         localization_method: Method = "ekf",
+        changes: Changes | None = None,
     ) -> None:
         config = package / "config" / f"{entry.model}.yaml"
         mounts = fixed_transforms(package / "urdf" / f"{entry.model}.urdf")
+        changes = changes or {}
+
+        def load(cls: type[T], section: str) -> T:
+            return load_parameters(cls, section, config, changes.get(section))
+
         self.name, self.body = body.name, body
-        self.limits = load_parameters(RobotLimits, "robot", config)
+        self.limits = load(RobotLimits, "robot")
         self._T_base_laser = pose_from_matrix(mounts["laser"])
         self._T_base_camera = mounts["camera_optical"]
         self._grid = grid
-        localization = load_parameters(LocalizerParameters, "localization", config)
+        localization = load(LocalizerParameters, "localization")
         self._localizer: Localizer = make_localizer(
             localization_method, grid, sites.markers, localization, self._T_base_laser
         )
-        self.mapper = NewObstacleMapper(grid, load_parameters(MappingParameters, "mapping", config))
-        self._planner = GlobalPlanner(load_parameters(GlobalPlannerParameters, "global_planner", config), self.limits)
-        self._replanner = Replanner(self._planner, load_parameters(ReplannerParameters, "path_planning", config))
-        avoidance = load_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance", config)
+        self.mapper = NewObstacleMapper(grid, load(MappingParameters, "mapping"))
+        self._planner = GlobalPlanner(load(GlobalPlannerParameters, "global_planner"), self.limits)
+        self._replanner = Replanner(self._planner, load(ReplannerParameters, "path_planning"))
+        avoidance = load(ObstacleAvoidanceParameters, "obstacle_avoidance")
         self._avoidance = ObstacleAvoidance(self.limits, avoidance)
-        self._mux = VelocityMux(load_parameters(VelocityMuxParameters, "velocity_mux", config), self.limits)
-        self._detector = MarkerDetector(load_parameters(MarkerDetectorParameters, "marker_detector", config))
+        self._mux = VelocityMux(load(VelocityMuxParameters, "velocity_mux"), self.limits)
+        self._detector = MarkerDetector(load(MarkerDetectorParameters, "marker_detector"))
         camera = pose_from_matrix(mounts["camera"])
-        self._follow = FollowLaw(load_parameters(FollowParameters, "follow", config), self.limits, camera.x)
+        self._follow = FollowLaw(load(FollowParameters, "follow"), self.limits, camera.x)
+        self._guard = Guard(self.limits, self._T_base_laser)
         # Robots of one model share its file, but not the marker on the back.
         own = {} if entry.marker is None else {"marker_id": entry.marker}
-        params = load_parameters(HitchhikingParameters, "hitchhiking", config, own)
+        params = load_parameters(
+            HitchhikingParameters, "hitchhiking", config, {**own, **changes.get("hitchhiking", {})}
+        )
         self.traveller = Traveller(
             self.name,
             params,
@@ -100,6 +122,8 @@ class ComposedRobot:
         self.inbox = Inbox(self.name)
         self.status: Status = self.traveller.status(0.0)
         self.estimate: PoseEstimate | None = None
+        self.following = "stopped"
+        """What the law behind the marker said last."""
         self.awards: list[Award] = []
         self.taken: list[PoseEstimate] = []
         self._map, self._mapped = grid, self.mapper.obstacles
@@ -107,6 +131,8 @@ class ComposedRobot:
         self._report: NavigationReport | None = None
         self._observations: list[MarkerObservation] = []
         self._seen_from = Pose2D()  # in odom, when the observations were made
+        self._image_at = 0.0
+        self._servo: ServoCommand | None = None
         self._seq = 0
 
     @property
@@ -124,6 +150,7 @@ class ComposedRobot:
 
     def sense_scan(self, scan: LaserScan, now: float) -> None:
         """Localize, map and drive by one scan, as far as these are on."""
+        self._guard.see(scan)
         modules = self.status.modules
         if modules.LZN and self._localizer.initialised:
             self._localizer.update_scan(scan)
@@ -139,20 +166,49 @@ class ComposedRobot:
         if modules.PP and modules.OBS:
             self._navigate(scan, now, self.estimate)
 
-    def sense_image(self, now: float) -> None:
-        """Look for markers, and follow, when servoing is on."""
-        servo = self.status.servo
+    def sense_image(self, now: float, covered: bool = False) -> None:
+        """Look for markers, and follow, when servoing is on; ``covered``: something is held before the lens."""
+        servo = self._turn_to(self.status.servo, now)
         self._observations, self._seen_from = [], self.body.odometry().pose
+        self._image_at = now
         if servo is None:
             return
-        gray = np.asarray(cv2.cvtColor(self.body.camera(), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         sizes = {servo.marker_id: servo.marker_size_m}
-        found = self._detector.detect(gray, self.body.camera_info, sizes)
+        found = self._detector.detect(self._gray(covered), self.body.camera_info, sizes)
         self._observations = self._detector.observe(found, self._T_base_camera, now)
         if servo.task == "follow":
             seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
             decision = self._follow.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
-            self._mux.command("servoing", decision.twist, now)
+            twist, _ = self._guard.limit(now, decision.twist)
+            self.following = decision.state
+            self._mux.command("servoing", twist, now)
+
+    def miss_image(self, now: float) -> None:
+        """No image has come; a robot that follows stands when that lasts."""
+        servo = self._turn_to(self.status.servo, now)
+        if servo is not None and servo.task == "follow" and now - self._image_at > _IMAGE_TIMEOUT_S:
+            self.following = "stopped"
+            self._mux.command("servoing", Twist2D(), now)
+
+    def steer(self, now: float, twist: Twist2D) -> None:
+        """Somebody has taken the joystick."""
+        self._mux.command("teleop", twist, now)
+
+    def _turn_to(self, servo: ServoCommand | None, now: float) -> ServoCommand | None:
+        """A new order begins anew: the trail of another time leads nowhere."""
+        before, self._servo = self._servo, servo
+        followed = None if before is None else (before.task, before.marker_id)
+        if servo is None or (servo.task, servo.marker_id) != followed:
+            self._follow.reset()
+            if before is not None and before.task == "follow":
+                self._mux.command("servoing", Twist2D(), now)
+        return servo
+
+    def _gray(self, covered: bool) -> npt.NDArray[np.uint8]:
+        info = self.body.camera_info
+        if covered:
+            return np.full((info.height, info.width), _COVERED_GRAY, dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(self.body.camera(), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
     def tick(self, now: float, send: Callable[[str], None], event: object = None) -> None:
         """Step the protocol with ``event`` or the passing of time, and carry out what it wants."""
@@ -225,6 +281,10 @@ class ComposedRide:
     robots: dict[str, ComposedRobot] = field(default_factory=dict)
     messages: list[str] = field(default_factory=list)
     localization_method: Method = "ekf"
+    changes: Mapping[str, Changes] = field(default_factory=dict)
+    """By robot."""
+    faults: list[Fault] = field(default_factory=list)
+    """What goes wrong; more may be added under way."""
 
     def __post_init__(self) -> None:
         for name, entry in self.world.file.robots.items():
@@ -235,6 +295,7 @@ class ComposedRide:
                 self.package,
                 entry,
                 self.localization_method,
+                self.changes.get(name),
             )
             self.robots[name] = robot
 
@@ -258,15 +319,21 @@ class ComposedRide:
                 robot.drive(self.world.now)
         now = self.world.now
         for robot in self.robots.values():
-            robot.sense_image(now)
+            if self._fault(robot, "camera_silent") is None:
+                robot.sense_image(now, self._fault(robot, "camera_covered") is not None)
+            else:
+                robot.miss_image(now)
             robot.sense_scan(robot.body.scan(), now)
+            if (steered := self._fault(robot, "steered")) is not None:
+                robot.steer(now, steered.twist or Twist2D())
         inbox, self.messages = self.messages, []
         for robot in self.robots.values():
-            for text in inbox:
+            cut_off = self._fault(robot, "messages_lost") is not None
+            for text in () if cut_off else inbox:
                 message = robot.inbox.receive(text)
                 if message is not None:
                     robot.tick(now, self._broadcast, message)
-            robot.tick(now, self._broadcast)
+            robot.tick(now, _nowhere if cut_off else self._broadcast)
             robot.drive(now)
 
     def run(self, limit_s: float) -> bool:
@@ -277,5 +344,14 @@ class ComposedRide:
                 return True
         return False
 
+    def _fault(self, robot: ComposedRobot, kind: FaultKind) -> Fault | None:
+        return next(
+            (f for f in self.faults if (f.robot, f.kind) == (robot.name, kind) and f.acts(self.world.now)), None
+        )
+
     def _broadcast(self, text: str) -> None:
         self.messages.append(text)
+
+
+def _nowhere(_text: str) -> None:
+    """Where the messages of a robot go that is cut off."""

@@ -26,12 +26,16 @@ _COLOUR = (0.25, 0.35, 0.60, 1.0)
 
 @dataclass(frozen=True)
 class Person:
-    """Walks along ``path``, two points (x, y) or more in m in ``map``, and back again, from ``start_s`` on."""
+    """Walks along ``path``, two points (x, y) or more in m in ``map``, and back again, from ``start_s`` on.
+
+    One who is ``hurried`` walks there once and stays, and waits for no robot.
+    """
 
     id: str
     path: tuple[tuple[float, float], ...]
     speed_mps: Positive = 1.0
     start_s: NonNegative = 0.0
+    hurried: bool = False
 
 
 class Walker:
@@ -56,14 +60,16 @@ class Walker:
         """Walk for ``dt`` s, or wait for the robot in front; whether he has moved."""
         if now < self.person.start_s:
             return False
-        if any(in_front(self.pose, robot) for robot in robots):
+        if not self.person.hurried and any(in_front(self.pose, robot) for robot in robots):
             self._waited += dt
             if self._waited > _PATIENCE_S:
                 self._sense, self._waited = -self._sense, 0.0
             return False
         self._waited = 0.0
         s, end = self._s + self._sense * self.person.speed_mps * dt, float(self._arc[-1])
-        if not 0.0 <= s <= end:
+        if self.person.hurried:
+            s = min(s, end)
+        elif not 0.0 <= s <= end:
             s, self._sense = -s if s < 0.0 else 2.0 * end - s, -self._sense
         self._s = s
         return True
@@ -83,7 +89,11 @@ class WalkingBody:
 
     def reset(self) -> None:
         """Back to the start of the path."""
-        self.walker = Walker(self.walker.person)
+        self.send(self.walker.person)
+
+    def send(self, person: Person) -> None:
+        """He walks another way, from its start."""
+        self.walker = Walker(person)
         self._place()
 
     def touches(self, robot: int) -> tuple[float, float] | None:
