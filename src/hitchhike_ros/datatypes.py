@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 UnitInterval = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Side = Literal["left", "right"]
 
 
 @dataclass(frozen=True)
@@ -137,10 +138,12 @@ class MarkerObservation:
 @dataclass(frozen=True)
 class HitchhikingPoint:
     """A place reserved for coupling (P17 §3): ``area`` is a polygon in ``map``, the driver stops at ``aligning_pose``
-    in front of ``marker`` and the hitchhiker stands at ``waiting_pose``."""
+    in front of ``marker`` and the hitchhiker stands at ``waiting_pose``, parallel to the wall on that side if one is
+    named."""
 
     name: str
     area: tuple[tuple[float, float], ...]
     aligning_pose: Pose2D
     waiting_pose: Pose2D
     marker: int | None = None
+    wall: Side | None = None

@@ -54,7 +54,7 @@ def cast(origin: Pose2D, angles: FloatArray, rectangles: FloatArray) -> FloatArr
     c, s = np.cos(origin.theta + angles)[:, None], np.sin(origin.theta + angles)[:, None]
     low = rectangles[:, :2] - (origin.x, origin.y)
     high = low + rectangles[:, 2:]
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         x1, x2, y1, y2 = low[:, 0] / c, high[:, 0] / c, low[:, 1] / s, high[:, 1] / s
     enter = np.maximum(np.minimum(x1, x2), np.minimum(y1, y2))
     leave = np.minimum(np.maximum(x1, x2), np.maximum(y1, y2))

@@ -191,13 +191,13 @@ def driver_in(state: DriverState, planner: Planner = corridor_path, **params: An
     return _arrived(bench, machine, state)
 
 
-def rider_in(state: HitchhikerState, **params: Any) -> Bench:
+def rider_in(state: HitchhikerState, sites: Sites = SITES, **params: Any) -> Bench:
     """A hitchhiker that has come to ``state`` on the usual way."""
     S = HitchhikerState
     way = [S.IDLE, S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING, S.RIDING]
     lost = [S.SEEKING, S.LOCATING, S.CATCHING_UP, S.RECOUPLING]
     reached = way.index(state) if state in way else len(way)
-    bench = Bench(HitchhikerMachine(RIDER, HitchhikingParameters(**params), CAMERA), pose=WEST.waiting_pose)
+    bench = Bench(HitchhikerMachine(RIDER, HitchhikingParameters(**params), sites, CAMERA), pose=WEST.waiting_pose)
     machine = bench.machine
     bench.wait()
     if state is not S.IDLE:

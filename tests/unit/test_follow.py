@@ -280,6 +280,25 @@ def test_stands_still_until_the_marker_is_seen():
     assert (decision.state, decision.twist) == ("searching", Twist2D())
 
 
+def test_a_marker_that_is_not_in_view_at_first_is_sought_to_both_sides_and_then_no_more():
+    params, own, turned, states = FollowParameters(), Pose2D(), [], []
+    law = FollowLaw(params, LIMITS, 0.0)
+    for step in range(200):
+        now = 0.1 * step
+        law.add_odometry(Odometry(now, own, Twist2D()))
+        decision = law.step(now, None, None, GAP)
+        assert decision.twist.v == 0.0
+        own = Pose2D(own.x, own.y, own.theta + 0.1 * decision.twist.omega)
+        turned.append(own.theta)
+        states.append(decision.state)
+    assert list(dict.fromkeys(states)) == ["searching", "turning", "lost"]
+    assert max(turned) == pytest.approx(params.search_angle_rad, abs=0.1)
+    assert min(turned) == pytest.approx(-params.search_angle_rad, abs=0.1)
+    assert turned[-1] == pytest.approx(0.0, abs=0.1)
+    law.step(20.0, observation(20.0), Odometry(20.0, own, Twist2D()), GAP)
+    assert law.step(20.0, None, None, GAP).state == "following"
+
+
 def test_stops_without_odometry():
     law = FollowLaw(FollowParameters(), LIMITS, 0.0)
     assert (law.step(0.0, None, None, GAP).state, law.step(0.0, None, None, GAP).reason) == ("stopped", "no odometry")

@@ -6,11 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from protocol_helpers import BOXES, CAMERA, DRIVER, MARKER_POSE, RIDER, RIDER_GOAL, SIGMA, Bench, messages, rider_in
+from protocol_helpers import (
+    BOXES,
+    CAMERA,
+    DRIVER,
+    MARKER_POSE,
+    RIDER,
+    RIDER_GOAL,
+    SIGMA,
+    SITES,
+    WEST,
+    Bench,
+    messages,
+    rider_in,
+)
 
-from hitchhike_ros.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.datatypes import Pose2D, PoseEstimate, Side
 from hitchhike_ros.errors import TransitionError
 from hitchhike_ros.geometry import compose, distance, wrap_angle
+from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.hitchhiker import BEFORE_RIDE, COUPLED, RETURNING, HitchhikerState
 from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, TakeObstacles, TakePose, Tick
 from hitchhike_ros.protocol.messages import (
@@ -113,6 +127,22 @@ def test_the_first_offer_is_locked_until_confirmed_and_others_are_refused() -> N
     assert bench.machine.state is S.LOCKING
     bench.hear(Ack, of="lock")
     assert bench.machine.state is S.AWAITING_ALIGNED
+
+
+@pytest.mark.parametrize("wall", ["left", None])
+def test_one_that_is_not_in_line_turns_while_the_driver_aligns(wall: Side | None) -> None:
+    bench = rider_in(S.LOCKING, sites=Sites(SITES.markers, (replace(WEST, wall=wall),)))
+    own = bench.pose = Pose2D(WEST.waiting_pose.x, WEST.waiting_pose.y, 2.0)
+    bench.wait()
+    bench.hear(Ack, of=Lock.type)
+    way = bench.machine.way
+    assert (way.x, way.y, way.theta, way.along_wall) == (own.x, own.y, WEST.waiting_pose.theta, wall)
+    bench.hear(Aligned)
+    assert bench.machine.way is None
+
+
+def test_one_that_is_in_line_already_stands() -> None:
+    assert rider_in(S.AWAITING_ALIGNED).machine.way is None
 
 
 def test_aligned_may_overtake_the_lost_confirmation_of_the_lock() -> None:

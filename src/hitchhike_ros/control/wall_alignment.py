@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from hitchhike_ros.datatypes import LaserScan, Pose2D, Positive
+from hitchhike_ros.datatypes import LaserScan, Pose2D, Positive, Side
+from hitchhike_ros.errors import PlanningError
 from hitchhike_ros.geometry import wrap_angle
 from hitchhike_ros.localization.landmarks import CornerParameters, extract_lines
 from hitchhike_ros.mapping.laser import LaserNoise, end_points
-
-Side = Literal["left", "right"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +22,20 @@ class WallAlignmentParameters:
     max_range_m: Positive = 4.0
     max_surprise_rad: Positive = 0.5
     """A wall that runs otherwise than expected by more than this is another wall."""
+
+
+def in_line(
+    pose: Pose2D, heading_rad: float, side: Side, scan: LaserScan, T_base_laser: Pose2D, params: WallAlignmentParameters
+) -> Pose2D:
+    """``pose`` turned parallel to the wall on its ``side``, which runs at about ``heading_rad``; both in ``map``.
+
+    Raises:
+        PlanningError: the scan shows no such wall.
+    """
+    turn = turn_along_wall(scan, T_base_laser, side, wrap_angle(heading_rad - pose.theta), params)
+    if turn is None:
+        raise PlanningError(f"no wall on the {side} along {math.degrees(heading_rad):.0f}°")
+    return Pose2D(pose.x, pose.y, wrap_angle(pose.theta + turn))
 
 
 def turn_along_wall(

@@ -6,7 +6,8 @@ scan, odometry or a pose is missing, old or senseless, and while there is no pla
 
 Subscribed (the latter four only while the module is on):
     hhike_msg/status (std_msgs/String): whether the module is on, the goal, the speed limit, whether somebody rides
-    plan (nav_msgs/Path, in ``map``): followed when it ends at the goal
+    plan (nav_msgs/Path, in ``map``): followed when it ends at the goal; a goal that is only to stand parallel to a wall
+        needs none
     amcl_pose (geometry_msgs/PoseWithCovarianceStamped), odom (nav_msgs/Odometry), scan (sensor_msgs/LaserScan)
 Published:
     cmd_vel/navigation (geometry_msgs/Twist): for each scan while there is a goal; one stand when that ends
@@ -15,8 +16,8 @@ Published:
     lockstep/answer (std_msgs/Header): the stamp of each scan that has been worked on, when /lockstep is true
     /diagnostics (diagnostic_msgs/DiagnosticArray)
 Parameters:
-    ~config (path), sections ``obstacle_avoidance`` (control.obstacle_avoidance.ObstacleAvoidanceParameters) and
-        ``robot``
+    ~config (path), sections ``obstacle_avoidance`` (control.obstacle_avoidance.ObstacleAvoidanceParameters),
+        ``wall_alignment`` (control.wall_alignment.WallAlignmentParameters) and ``robot``
     ~urdf (path): mount of the laser
     ~pose_wait_s (s of wall time, 0.1; 0.4 in lock-step, where time stands still meanwhile): how long the pose of a scan
         is awaited
@@ -29,6 +30,7 @@ import threading
 from dataclasses import dataclass
 
 import msgspec
+import numpy as np
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMsg
@@ -38,7 +40,8 @@ from std_msgs.msg import String
 
 from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
 from hitchhike_ros.control.odometry_history import OdometryHistory
-from hitchhike_ros.datatypes import FloatArray, LaserScan, Pose2D, PoseEstimate, Positive, Twist2D
+from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
+from hitchhike_ros.datatypes import FloatArray, LaserScan, Pose2D, PoseEstimate, Positive, Side, Twist2D
 from hitchhike_ros.errors import PlanningError, SensorDataError
 from hitchhike_ros.geometry import compose, distance, pose_from_matrix, wrap_angle
 from hitchhike_ros.parameters import convert
@@ -79,6 +82,7 @@ class ObstacleAvoidanceNode:
 
     def __init__(self) -> None:
         self._params = node_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance")
+        self._wall_params = node_parameters(WallAlignmentParameters, "wall_alignment")
         self._limits = node_parameters(RobotLimits, "robot")
         self._T_base_laser = pose_from_matrix(mount(path_parameter("urdf"), "laser"))
         self._pose_wait_s = convert(
@@ -118,6 +122,7 @@ class ObstacleAvoidanceNode:
         """What was seen before the module was off says nothing about now."""
         self._plan: _Plan | None = None
         self._followed: tuple[str, _Plan] | None = None
+        self._turns_for = ""  # the order for which it turns along a wall
         self._estimate: PoseEstimate | None = None
         self._odometry = OdometryHistory()
         self._odometry_problem = ""
@@ -138,7 +143,7 @@ class ObstacleAvoidanceNode:
                     self._timer = None
             if goal is None:
                 self._avoidance.clear()
-                self._followed = None
+                self._followed, self._turns_for = None, ""
                 if before is not None:
                     self._commands.publish(twist_to_msg(Twist2D()))
                 self._tell(NavigationReport("", "idle"), OK if status.modules.OBS else None)
@@ -207,7 +212,7 @@ class ObstacleAvoidanceNode:
             return
         try:
             pose = self._pose_at(scan.stamp)
-            followed = self._follow(goal)
+            followed = self._line_up(goal, goal.along_wall, pose, scan) if goal.along_wall else self._follow(goal)
         except (SensorDataError, PlanningError) as exc:
             self._stand(str(exc))
             return
@@ -235,6 +240,18 @@ class ObstacleAvoidanceNode:
         if self._followed != (goal.id, plan):
             self._avoidance.set_path(plan.points, goal.pose, goal.tolerance_m, goal.tolerance_rad)
             self._followed = (goal.id, plan)
+        return True
+
+    def _line_up(self, goal: GoalCommand, side: Side, pose: Pose2D, scan: LaserScan) -> bool:
+        """Take up the order to turn parallel to a wall, by the wall in the first scan after it.
+
+        Raises:
+            PlanningError: there is no such wall.
+        """
+        if self._turns_for != goal.id:
+            line = in_line(pose, goal.theta, side, scan, self._T_base_laser, self._wall_params)
+            self._avoidance.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
+            self._turns_for = goal.id
         return True
 
     def _pose_at(self, stamp: float) -> Pose2D:

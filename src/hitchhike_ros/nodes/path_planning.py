@@ -108,8 +108,9 @@ class PathPlanning:
     def _on_status(self, status: Status) -> None:
         with self._lock:
             self._turn(status.modules.PP)
-            goal = status.goal
-            self._order = Order(goal.id, goal.pose) if goal is not None and status.modules.PP else None
+            goal = status.goal if status.modules.PP else None
+            # A turn along a wall needs no path.
+            self._order = None if goal is None or goal.along_wall else Order(goal.id, goal.pose)
 
     def _on_map(self, msg: OccupancyGridMsg) -> None:
         grid = grid_from_msg(msg)

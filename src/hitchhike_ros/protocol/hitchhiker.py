@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from hitchhike_ros.datatypes import MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.geometry import compose, distance
+from hitchhike_ros.geometry import compose, distance, wrap_angle
 from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 from hitchhike_ros.localization.handover import handover
+from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.machine import (
     GoalCancelled,
     GoalGiven,
@@ -62,6 +63,8 @@ SEEN_AGAIN = "Driver seen again"
 _TOLD_STEP_M, _TOLD_M = 0.2, 4.0
 # The place behind the driver from where it couples anew: so much farther off than the gap, and how well it is reached.
 _CATCH_UP_M, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD = 0.4, 0.25, 0.25
+# A hitchhiker within this of the heading of its hitchhiking point is in line; it turns where it stands (chosen).
+_IN_LINE_RAD, _IN_LINE_M = 0.06, 0.25
 # A marker that is seen nearer than this beyond the gap can be coupled with, a farther one may be behind a corner.
 _COUPLING_REACH_M = 1.2
 
@@ -147,8 +150,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Timeout(S.RELOCALIZING, "localize_timeout_s", "_give_up_localizing", (S.IDLE,)),
     )
 
-    def __init__(self, robot_id: str, params: HitchhikingParameters, camera: tuple[float, float]) -> None:
+    def __init__(self, robot_id: str, params: HitchhikingParameters, sites: Sites, camera: tuple[float, float]) -> None:
         super().__init__(S.IDLE, params)
+        self._sites = sites
         self.robot_id = robot_id
         self.params = params
         self.goal: Pose2D | None = None
@@ -196,8 +200,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     @property
     def way(self) -> GoalCommand | None:
-        """Where it drives to by itself during a ride: up behind the driver that it has lost."""
-        return self._way if self.state is S.CATCHING_UP else None
+        """Where it drives to by itself: into line with the driver that comes, up behind the driver that it has lost."""
+        return self._way if self.state in (S.AWAITING_ALIGNED, S.CATCHING_UP) else None
 
     @property
     def ride(self) -> RideStatus | None:
@@ -257,6 +261,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _locked(self, ack: Ack) -> None:
         if ack.of == Lock.type:
+            self._way = self._turn_into_line()
             self._go(S.AWAITING_ALIGNED)
 
     def _couple(self, _aligned: Aligned) -> None:
@@ -511,6 +516,18 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             return False
         # It may wake up with what it knew where it went to sleep.
         return distance(taken.pose, estimate.pose) <= _TAKEN_M
+
+    def _turn_into_line(self) -> GoalCommand | None:
+        """A turn where it stands, unless it stands as the hitchhiking point asks; a wall tells better how it stands."""
+        estimate = self.situation.estimate
+        point = None if estimate is None else self._sites.hitchhiking_point_at(estimate.pose.x, estimate.pose.y)
+        if estimate is None or point is None:
+            return None
+        own, heading = estimate.pose, point.waiting_pose.theta
+        if abs(wrap_angle(own.theta - heading)) <= _IN_LINE_RAD:
+            return None
+        order = f"{self.ride_id}-line"
+        return GoalCommand(order, own.x, own.y, heading, _IN_LINE_M, _IN_LINE_RAD, along_wall=point.wall)
 
     def _aim_behind_driver(self) -> None:
         """The way to where the marker is straight ahead: a place that the driver has driven over, or a turn on the spot

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from hitchhike_ros.datatypes import NonNegative, Pose2D, Positive
+from hitchhike_ros.datatypes import NonNegative, Pose2D, Positive, Side
 from hitchhike_ros.errors import MessageError
 
 
@@ -27,7 +27,10 @@ class ModuleSwitches:
 
 @dataclass(frozen=True)
 class GoalCommand:
-    """Where the robot drives to by itself now; a new ``id`` is a new order."""
+    """Where the robot drives to by itself now; a new ``id`` is a new order.
+
+    With ``along_wall`` it only turns where it stands, parallel to the wall on that side; ``theta`` is then rough.
+    """
 
     id: str
     x: float
@@ -35,6 +38,7 @@ class GoalCommand:
     theta: float
     tolerance_m: Positive = 0.10
     tolerance_rad: Positive = 0.087
+    along_wall: Side | None = None
 
     @property
     def pose(self) -> Pose2D:

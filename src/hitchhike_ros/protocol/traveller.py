@@ -35,7 +35,7 @@ class Traveller:
     ) -> None:
         self.robot_id = robot_id
         self.params = params
-        self.hitchhiker = HitchhikerMachine(robot_id, params, camera)
+        self.hitchhiker = HitchhikerMachine(robot_id, params, sites, camera)
         self.driver = DriverMachine(robot_id, params, sites, planner, marker_pose)
         self._planner, self._radius_m = planner, radius_m
         self._situation = Situation()

@@ -111,7 +111,7 @@ class FollowLaw:
             return Decision(Twist2D(), "stopped", "no odometry" if math.isinf(age) else f"odometry is {age:.2f} s old")
         driver = self._driver
         if driver is None:
-            return Decision(Twist2D(), "searching", "marker not seen yet")
+            return self._seek_driver(now)
         if now - driver.stamp > p.lost_timeout_s:
             return self._search_driver(now, driver)
         return self._follow(now, driver, gap_m)
@@ -126,6 +126,13 @@ class FollowLaw:
         omega = self._keep_in_view(omega, target.bearing, drift)
         twist = saturate(v, omega, self._limits.max_speed_mps, self._max_omega)
         return Decision(twist, "following", "", target.gap, target.bearing)
+
+    def _seek_driver(self, now: float) -> Decision:
+        """Look ahead for a while, then to both sides: nothing is known of it yet."""
+        if self._search is None:
+            self._search = DriverSearch(self._params, self._limits, Departure(0.0, 0.0, 0.0), now)
+        twist, state = self._search.step(now, self._odometry[-1].pose, self._trail, 0.0)
+        return Decision(twist, "searching" if state == "looking" else state, "marker not seen yet")
 
     def _search_driver(self, now: float, driver: DriverEstimate) -> Decision:
         own = self._odometry[-1].pose

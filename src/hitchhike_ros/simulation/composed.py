@@ -17,7 +17,9 @@ import numpy.typing as npt
 
 from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
+from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
 from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.errors import PlanningError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.localization.localizer import LocalizerParameters
 from hitchhike_ros.localization.methods import Localizer, Method, make_localizer
@@ -100,6 +102,8 @@ class ComposedRobot:
         self._replanner = Replanner(self._planner, load(ReplannerParameters, "path_planning"))
         avoidance = load(ObstacleAvoidanceParameters, "obstacle_avoidance")
         self._avoidance = ObstacleAvoidance(self.limits, avoidance)
+        self._wall_params = load(WallAlignmentParameters, "wall_alignment")
+        self._turns_for = ""
         self._mux = VelocityMux(load(VelocityMuxParameters, "velocity_mux"), self.limits)
         self._detector = MarkerDetector(load(MarkerDetectorParameters, "marker_detector"))
         camera = pose_from_matrix(mounts["camera"])
@@ -252,15 +256,25 @@ class ComposedRobot:
 
     def _navigate(self, scan: LaserScan, now: float, estimate: PoseEstimate) -> None:
         goal = self.status.goal
-        order = None if goal is None else Order(goal.id, goal.pose)
+        order = None if goal is None or goal.along_wall else Order(goal.id, goal.pose)
         blocked = self._report is not None and self._report.state == "blocked"
         plan = self._replanner.step(now, order, self.map, estimate, blocked)
         if goal is None:
             return
-        if plan.state != "planned":
+        if goal.along_wall:
+            if self._turns_for != goal.id:
+                own, T_base_laser = estimate.pose, self._T_base_laser
+                try:
+                    line = in_line(own, goal.theta, goal.along_wall, scan, T_base_laser, self._wall_params)
+                except PlanningError as exc:
+                    self._report = NavigationReport(goal.id, "blocked", str(exc))
+                    return
+                self._avoidance.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
+                self._turns_for = goal.id
+        elif plan.state != "planned":
             self._report = NavigationReport(goal.id, plan.state, plan.reason)
             return
-        if plan is not self._plan:
+        elif plan is not self._plan:
             self._plan = plan
             self._avoidance.set_path(plan.path, goal.pose, goal.tolerance_m, goal.tolerance_rad)
         twist = self.body.odometry().twist
