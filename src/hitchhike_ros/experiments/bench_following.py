@@ -49,6 +49,7 @@ def ride_figures(course: Course, rides: tuple[RideResult, ...]) -> list[Figure]:
     name, count = course.name, float(len(rides))
     return [
         Figure(f"{name}: rides completed", float(sum(r.completed for r in rides)), "", count, "higher"),
+        Figure(f"{name}: metres ridden, least", min((r.ridden_m for r in rides), default=None), "m", better="higher"),
         Figure(f"{name}: contacts", float(sum(len(r.contacts) for r in rides)), "", 0.0),
         Figure(f"{name}: times that the marker was lost", float(sum(r.lost for r in rides)), "", 0.0),
     ]

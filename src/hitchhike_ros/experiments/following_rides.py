@@ -16,7 +16,7 @@ from hitchhike_ros.datatypes import HitchhikingPoint, Pose2D, PoseEstimate
 from hitchhike_ros.experiments.composed_record import ComposedRecorder
 from hitchhike_ros.experiments.ride_figures import distances_from_trail, find_ride, gap_errors
 from hitchhike_ros.experiments.ride_record import RideRecord
-from hitchhike_ros.geometry import compose
+from hitchhike_ros.geometry import compose, path_length
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.simulation.composed import Changes, ComposedRide
 from hitchhike_ros.simulation.world import World
@@ -71,6 +71,7 @@ class RideResult:
 
     seed: int
     end: str
+    ridden_m: float
     gap_rms_m: float | None
     lateral_rms_m: float | None
     lateral_max_m: float | None
@@ -135,7 +136,7 @@ def score(record: RideRecord, seed: int, end: str) -> RideResult:
     contacts = tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in record.contacts)
     lost = sum(status.state == "seeking" for status in record.robots[RIDER].statuses)
     if found is None or found.riding_at is None or found.decoupling_at is None:
-        return RideResult(seed, end or "no ride", None, None, None, lost, contacts)
+        return RideResult(seed, end or "no ride", 0.0, None, None, None, lost, contacts)
     window = (found.riding_at, found.decoupling_at)
     gap = gap_errors(record.robots[DRIVER], record.robots[RIDER], window)
     tracks = [
@@ -144,7 +145,10 @@ def score(record: RideRecord, seed: int, end: str) -> RideResult:
     ]
     lateral = distances_from_trail(tracks[0], _moving(tracks[1]))
     rms = float(np.sqrt(np.mean(np.square(lateral))))
-    return RideResult(seed, end, float(np.sqrt(np.mean(gap**2))), rms, float(lateral.max()), lost, contacts)
+    driven = _moving(tracks[1])
+    return RideResult(
+        seed, end, path_length(driven), float(np.sqrt(np.mean(gap**2))), rms, float(lateral.max()), lost, contacts
+    )
 
 
 def _moving(track: np.ndarray) -> np.ndarray:
