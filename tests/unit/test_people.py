@@ -100,3 +100,10 @@ def test_bad_people_are_refused_by_name(people: object, field: str, tmp_path: Pa
     with pytest.raises(WorldFileError) as caught:
         load_world(path)
     assert caught.value.field.startswith(field)
+
+
+def test_one_who_is_hurried_walks_there_once_and_waits_for_no_robot() -> None:
+    walker = Walker(Person("eve", ((0.0, 0.0), (1.0, 0.0)), 1.0, hurried=True))
+    for i in range(200):
+        walker.step(0.01 * i, 0.01, [Pose2D(0.5, 0.0)])
+    assert walker.pose.x == 1.0

@@ -6,18 +6,16 @@ corridor, no camera). Where boxes stand and people walk is drawn from the seed; 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from functools import cache
-from multiprocessing import get_context
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from hitchhike_ros.datatypes import Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.experiments.benchmark import Options, Progress
+from hitchhike_ros.experiments.parallel import run_all
 from hitchhike_ros.geometry import compose, distance, wrap_angle
 from hitchhike_ros.simulation.composed import FRAME_RATE_HZ, ComposedRide
 from hitchhike_ros.simulation.people import RADIUS_M, Person
@@ -166,11 +164,6 @@ def corridor_drives(options: Options, progress: Progress) -> tuple[DriveResult, 
 @cache
 def _drives(package: Path, first_seed: int, count: int, progress: Progress) -> tuple[DriveResult, ...]:
     """Drives on all cores, in the order of their seeds; each result depends on its seed alone."""
-    results = {}
-    # Forked, because a spawned process would run the program of the benchmark again.
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, count), get_context("fork")) as pool:
-        running = {pool.submit(drive, package, seed): seed for seed in range(first_seed, first_seed + count)}
-        for done in as_completed(running):
-            results[running[done]] = done.result()
-            progress("drives along the corridor", len(results), count)
-    return tuple(results[seed] for seed in sorted(results))
+    return run_all(
+        "drives along the corridor", partial(drive, package), range(first_seed, first_seed + count), progress
+    )

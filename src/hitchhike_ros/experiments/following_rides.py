@@ -16,7 +16,7 @@ from hitchhike_ros.datatypes import HitchhikingPoint, Pose2D, PoseEstimate
 from hitchhike_ros.experiments.composed_record import ComposedRecorder
 from hitchhike_ros.experiments.ride_figures import distances_from_trail, find_ride, gap_errors
 from hitchhike_ros.experiments.ride_record import RideRecord
-from hitchhike_ros.geometry import compose
+from hitchhike_ros.geometry import compose, path_length
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.simulation.composed import Changes, ComposedRide
 from hitchhike_ros.simulation.world import World
@@ -33,7 +33,10 @@ _ASIDE = np.array([0.03, 0.03, 0.05])
 
 @dataclass(frozen=True)
 class Course:
-    """A way to be ridden: in which world, from where to where, at which speed, by whom."""
+    """A way to be ridden: in which world, from where to where, at which speed, by whom.
+
+    ``boxes`` are those of the world file where it is None; both robots know of ``doors``, which are closed.
+    """
 
     name: str
     world: str
@@ -41,14 +44,25 @@ class Course:
     goal: Pose2D
     speed_mps: float = 0.5
     rider: str = "turtlebot"
-    boxes: tuple[Box, ...] = ()
+    boxes: tuple[Box, ...] | None = None
+    doors: tuple[Box, ...] = ()
     limit_s: float = 90.0
     rider_goal: Pose2D | None = None
     changes: Mapping[str, Changes] = field(default_factory=dict)
 
 
-STRAIGHT = Course("straight, 0.5 m/s", "p17_exp1", Pose2D(3.2, 5.72), Pose2D(15.2, 5.72))
-FAST = Course("straight, 1.0 m/s", "p17_exp1", Pose2D(3.2, 5.72), Pose2D(19.2, 5.72), 1.0, "p3dx")
+STRAIGHT = Course("straight, 0.5 m/s", "p17_exp1", Pose2D(3.2, 5.72), Pose2D(15.2, 5.72), boxes=())
+FAST = Course("straight, 1.0 m/s", "p17_exp1", Pose2D(3.2, 5.72), Pose2D(19.2, 5.72), 1.0, "p3dx", boxes=())
+# Once round, by four corners to the left: the door behind the pair leaves no shorter way.
+CORNERS = Course(
+    "four corners",
+    "corners",
+    Pose2D(5.2, 1.1),
+    Pose2D(2.2, 1.1),
+    doors=(Box("door", 3.2, 0.0, 0.1, 2.2),),
+    limit_s=150.0,
+)
+S_BEND = Course("an S between boxes", "s_bend", Pose2D(17.2, 27.14), Pose2D(27.0, 27.14))
 
 
 @dataclass(frozen=True)
@@ -57,11 +71,17 @@ class RideResult:
 
     seed: int
     end: str
+    ridden_m: float
     gap_rms_m: float | None
     lateral_rms_m: float | None
     lateral_max_m: float | None
     lost: int
     contacts: tuple[str, ...]
+
+    @property
+    def completed(self) -> bool:
+        """Whether the pair rode to the end and the pose was handed over."""
+        return self.end == "" and self.gap_rms_m is not None
 
 
 def build(course: Course, package: Path, seed: int) -> WorldFile:
@@ -75,7 +95,8 @@ def build(course: Course, package: Path, seed: int) -> WorldFile:
         DRIVER: RobotEntry("p3dx", course.start, course.goal, 0),
         RIDER: RobotEntry(course.rider, compose(behind, Pose2D(*aside.tolist())), course.rider_goal or course.goal, 1),
     }
-    return replace(base, boxes=course.boxes, robots=robots, sites=Sites(base.sites.markers, (point,)))
+    boxes = base.boxes if course.boxes is None else course.boxes
+    return replace(base, boxes=(*boxes, *course.doors), robots=robots, sites=Sites(base.sites.markers, (point,)))
 
 
 def changes_of(course: Course) -> dict[str, Changes]:
@@ -97,6 +118,8 @@ def ride(package: Path, course: Course, seed: int) -> RideResult:
     with World(build(course, package, seed), seed, package=package) as world:
         composed = ComposedRide(world, package, changes=changes_of(course))
         recorder = ComposedRecorder(composed, seed)
+        for robot in composed.robots.values():
+            robot.mapper.add(course.doors)
         composed.start({name: PoseEstimate(0.0, entry.start, SIGMA) for name, entry in world.file.robots.items()})
         rode = False
         for _ in recorder.run(course.limit_s):
@@ -113,7 +136,7 @@ def score(record: RideRecord, seed: int, end: str) -> RideResult:
     contacts = tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in record.contacts)
     lost = sum(status.state == "seeking" for status in record.robots[RIDER].statuses)
     if found is None or found.riding_at is None or found.decoupling_at is None:
-        return RideResult(seed, end or "did not end", None, None, None, lost, contacts)
+        return RideResult(seed, end or "no ride", 0.0, None, None, None, lost, contacts)
     window = (found.riding_at, found.decoupling_at)
     gap = gap_errors(record.robots[DRIVER], record.robots[RIDER], window)
     tracks = [
@@ -122,8 +145,9 @@ def score(record: RideRecord, seed: int, end: str) -> RideResult:
     ]
     lateral = distances_from_trail(tracks[0], _moving(tracks[1]))
     rms = float(np.sqrt(np.mean(np.square(lateral))))
+    driven = _moving(tracks[1])
     return RideResult(
-        seed, end or "completed", float(np.sqrt(np.mean(gap**2))), rms, float(lateral.max()), lost, contacts
+        seed, end, path_length(driven), float(np.sqrt(np.mean(gap**2))), rms, float(lateral.max()), lost, contacts
     )
 
 

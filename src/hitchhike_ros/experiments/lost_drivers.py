@@ -20,19 +20,26 @@ from hitchhike_ros.experiments.ride_record import RideRecord
 from hitchhike_ros.protocol.driver import ARRIVED
 from hitchhike_ros.simulation.composed import ComposedRide
 from hitchhike_ros.simulation.faults import Fault
-from hitchhike_ros.simulation.people import Person
+from hitchhike_ros.simulation.people import RADIUS_M, Person
 from hitchhike_ros.simulation.world import World
 
 # The driver goes 8 m along the corridor, its rider farther and to the side; both could come there alone.
 _COURSE = Course(
-    "driver lost", "p17_exp1", Pose2D(3.2, 5.72), Pose2D(11.2, 6.1), limit_s=150.0, rider_goal=Pose2D(13.0, 5.4)
+    "driver lost",
+    "p17_exp1",
+    Pose2D(3.2, 5.72),
+    Pose2D(11.2, 6.1),
+    boxes=(),
+    limit_s=150.0,
+    rider_goal=Pose2D(13.0, 5.4),
 )
 # A person steps between so long after the driver was stopped, and goes on after a while: the least and the most, in s.
 _STEPS_IN_S, _STAYS_S = 3.0, (1.0, 9.0)
+_APART_M = 0.04
 _NORTH_Y, _MIDDLE_Y, _SOUTH_Y = 6.5, 5.72, 4.95
 _AWAY = Person("eve", ((20.0, _NORTH_Y), (20.0, _SOUTH_Y)), 1.0, 1e6, hurried=True)
 # A ride goes on within so long of a short cover.
-_RIDES_ON_S = 2.0
+RIDES_ON_S = 2.0
 
 Plan = Callable[[np.random.Generator, float], list[Fault]]
 
@@ -63,17 +70,17 @@ def _held(random: np.random.Generator, now: float) -> list[Fault]:
 
 @dataclass(frozen=True)
 class Mishap:
-    """One way to lose a driver. ``short_s`` is how long it lasts where the ride has to go on soon after."""
+    """One way to lose a driver. After a ``short`` one the ride has to go on soon."""
 
     name: str
     plan: Plan
-    short_s: float | None = None
+    short: bool = False
     person: bool = False
 
 
 MISHAPS = (
-    Mishap("marker covered for 1 s", _covered(1.0), 1.0),
-    Mishap("marker covered for 2 s", _covered(2.0), 2.0),
+    Mishap("marker covered for 1 s", _covered(1.0), short=True),
+    Mishap("marker covered for 2 s", _covered(2.0), short=True),
     Mishap("marker covered for good", _covered(math.inf)),
     Mishap("a person stepping between", _held, person=True),
     Mishap("the driver turning sharply", _turned),
@@ -84,7 +91,10 @@ MISHAPS = (
 
 @dataclass(frozen=True)
 class LostResult:
-    """How a ride with a mishap ended. ``rides_on_s`` is how long after its end both rode again, None: they did not."""
+    """How a ride with a mishap ended.
+
+    ``rides_on_s`` is how long after the mishap's end both rode again, None: they did not, or it did not end.
+    """
 
     seed: int
     mishap: str
@@ -93,6 +103,7 @@ class LostResult:
     states: tuple[str, ...]
     contacts: tuple[str, ...]
     duration_s: float
+    short: bool
     rides_on_s: float | None
 
     @property
@@ -100,7 +111,7 @@ class LostResult:
         return self.driver_end == self.rider_end == ARRIVED
 
     @property
-    def recoupled(self) -> bool:
+    def rode_on(self) -> bool:
         """Whether the ride was completed after all."""
         return "settling" in self.states
 
@@ -142,19 +153,22 @@ def lose(package: Path, seed: int) -> LostResult:
             tuple(status.state for status in recorder.record.robots[RIDER].statuses),
             tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in world.contacts()),
             world.now,
-            _rides_on(recorder.record, fault_end) if mishap.short_s is not None else None,
+            mishap.short,
+            _rides_on(recorder.record, fault_end),
         )
 
 
 def _between(world: World) -> float:
-    """x in the middle between the bodies of the pair, which drives along x."""
-    driver, rider = world.robots[DRIVER], world.robots[RIDER]
-    rear = driver.ground_truth()[0].x - driver.limits.rear_m
-    return 0.5 * (rear + rider.ground_truth()[0].x + rider.limits.front_m)
+    """x of a person close behind the driver, which drives along x: nearer to the camera he would be cut by the
+    renderer's near plane."""
+    driver = world.robots[DRIVER]
+    return driver.ground_truth()[0].x - driver.limits.rear_m - RADIUS_M - _APART_M
 
 
 def _rides_on(record: RideRecord, since: float) -> float | None:
     """Seconds from ``since`` until rider and driver ride again."""
+    if not math.isfinite(since):
+        return None
     stamps = sorted({s.time_stamp for robot in record.robots.values() for s in robot.statuses if s.time_stamp > since})
     for stamp in (since, *stamps):
         states = [

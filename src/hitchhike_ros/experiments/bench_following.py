@@ -1,0 +1,83 @@
+"""Following: straight, fast, round corners and through an S; and drivers that are lost on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+
+import numpy as np
+
+from hitchhike_ros.experiments.benchmark import Options, Progress
+from hitchhike_ros.experiments.figures import Figure
+from hitchhike_ros.experiments.following_rides import CORNERS, FAST, S_BEND, STRAIGHT, Course, RideResult, ride
+from hitchhike_ros.experiments.lost_drivers import RIDES_ON_S, LostResult, lose
+from hitchhike_ros.experiments.parallel import run_all
+
+_SEEDS, _QUICK = 20, 1
+_LOST_SEEDS, _LOST_QUICK = 50, 7  # one of each kind when quick
+_STRAIGHT_GAP_M, _STRAIGHT_LATERAL_M, _CORNER_LATERAL_M = 0.03, 0.04, 0.10
+
+
+def run(options: Options, progress: Progress) -> list[Figure]:
+    """Ride; every figure is the worst of its rides unless it says otherwise."""
+
+    def rides(course: Course) -> tuple[RideResult, ...]:
+        seeds = range(options.seed, options.seed + (_QUICK if options.quick else _SEEDS))
+        return run_all(course.name, partial(ride, options.package, course), seeds, progress)
+
+    straight, fast, corners, s_bend = (rides(course) for course in (STRAIGHT, FAST, CORNERS, S_BEND))
+    seeds = range(options.seed, options.seed + (_LOST_QUICK if options.quick else _LOST_SEEDS))
+    lost = run_all("drivers lost", partial(lose, options.package), seeds, progress)
+    return [
+        *ride_figures(STRAIGHT, straight),
+        Figure(f"{STRAIGHT.name}: gap error, RMS", _worst(r.gap_rms_m for r in straight), "m", _STRAIGHT_GAP_M),
+        Figure(f"{STRAIGHT.name}: lateral, RMS", _worst(r.lateral_rms_m for r in straight), "m", _STRAIGHT_LATERAL_M),
+        *ride_figures(FAST, fast),
+        Figure(f"{FAST.name}: gap error, RMS", _worst(r.gap_rms_m for r in fast), "m"),
+        *ride_figures(CORNERS, corners),
+        Figure(f"{CORNERS.name}: lateral, most", _worst(r.lateral_max_m for r in corners), "m", _CORNER_LATERAL_M),
+        Figure(f"{CORNERS.name}: gap error, RMS", _worst(r.gap_rms_m for r in corners), "m"),
+        *ride_figures(S_BEND, s_bend),
+        Figure(f"{S_BEND.name}: lateral, most", _worst(r.lateral_max_m for r in s_bend), "m"),
+        Figure(f"{S_BEND.name}: gap error, RMS", _worst(r.gap_rms_m for r in s_bend), "m"),
+        *lost_figures(lost),
+    ]
+
+
+def ride_figures(course: Course, rides: tuple[RideResult, ...]) -> list[Figure]:
+    """What has to hold on every course: all rides are completed, nothing is touched, the marker is never lost."""
+    name, count = course.name, float(len(rides))
+    return [
+        Figure(f"{name}: rides completed", float(sum(r.completed for r in rides)), "", count, "higher"),
+        Figure(f"{name}: metres ridden, least", min((r.ridden_m for r in rides), default=None), "m", better="higher"),
+        Figure(f"{name}: contacts", float(sum(len(r.contacts) for r in rides)), "", 0.0),
+        Figure(f"{name}: times that the marker was lost", float(sum(r.lost for r in rides)), "", 0.0),
+    ]
+
+
+def lost_figures(runs: tuple[LostResult, ...]) -> list[Figure]:
+    """How the runs with a lost driver ended."""
+    short = [run.rides_on_s for run in runs if run.short]
+    return [
+        Figure(
+            "driver lost: runs in which both come to their goals",
+            _count(r.arrived for r in runs),
+            "",
+            len(runs),
+            "higher",
+        ),
+        Figure("driver lost: contacts", float(sum(len(run.contacts) for run in runs)), "", 0.0),
+        Figure("driver lost: until both ride again after a short cover", _worst(short), "s", RIDES_ON_S),
+        Figure("driver lost: rides completed all the same", _count(run.rode_on for run in runs), ""),
+        Figure("driver lost: longest run", max((run.duration_s for run in runs), default=None), "s"),
+    ]
+
+
+def _count(values: Iterable[bool]) -> float:
+    return float(sum(values))
+
+
+def _worst(values: Iterable[float | None]) -> float | None:
+    """The largest; None where one is missing, which no bound forgives."""
+    known = list(values)
+    return None if not known or None in known else float(np.max(np.array(known, dtype=float)))
