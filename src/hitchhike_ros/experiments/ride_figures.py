@@ -164,7 +164,7 @@ def _ride_of(record: RideRecord, hitchhiker: str, asked_at: float, statuses: Seq
         return Ride(hitchhiker, requested_at=asked_at)
     driven = [s for s in record.robots[ride.driver].statuses if s.ride is not None and s.ride.ride_id == ride.ride_id]
     riding_at = statuses[0].time_stamp if statuses[0].state == "riding" else None
-    on_board = ("riding", "seeking", "locating", "catching_up", "recoupling", "settling", "relocalizing")
+    on_board = ("riding", "seeking", "locating", "catching_up", "recoupling", "parting", "settling", "relocalizing")
     released = (s.time_stamp for s in statuses if s.role != "hitchhiker" or s.state not in on_board)
     return Ride(
         hitchhiker=hitchhiker,
