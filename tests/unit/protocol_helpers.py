@@ -127,6 +127,8 @@ class Bench:
             self.pose = Pose2D(1.7, 5.72)
         elif then is HitchhikerState.RECOUPLING:
             self.gap = 1.3
+        elif then is HitchhikerState.PARTING:
+            self.hear(Terminate)
         while self.machine.state is not then and self.now < 1100.0:
             self.wait()
             if then is not HitchhikerState.SEEKING and round(self.now * 10) % 5 == 0:
@@ -195,7 +197,7 @@ def rider_in(state: HitchhikerState, sites: Sites = SITES, **params: Any) -> Ben
     """A hitchhiker that has come to ``state`` on the usual way."""
     S = HitchhikerState
     way = [S.IDLE, S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING, S.RIDING]
-    lost = [S.SEEKING, S.LOCATING, S.CATCHING_UP, S.RECOUPLING]
+    lost = [S.SEEKING, S.LOCATING, S.CATCHING_UP, S.RECOUPLING, S.PARTING]
     reached = way.index(state) if state in way else len(way)
     bench = Bench(HitchhikerMachine(RIDER, HitchhikingParameters(**params), sites, CAMERA), pose=WEST.waiting_pose)
     machine = bench.machine

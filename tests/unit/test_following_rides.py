@@ -30,7 +30,7 @@ from hitchhike_ros.protocol.status import RideStatus, ServoCommand, Status
 from hitchhike_ros.simulation.faults import Fault
 
 RESULT = RideResult(0, "", 10.0, 0.01, 0.02, 0.03, 0, ())
-LOST = LostResult(0, "", "Goal reached", "Goal reached", ("riding", "settling"), (), 30.0, True, 0.5)
+LOST = LostResult(0, "", "Goal reached", "Goal reached", ("riding", "settling"), (), 30.0, 0.1, True, 0.5)
 
 
 @pytest.mark.parametrize("course", [STRAIGHT, FAST, CORNERS, S_BEND])
@@ -96,6 +96,7 @@ def test_each_bound_of_the_courses_breaks_for_its_own_reason() -> None:
     [
         ({}, [True, True, True]),
         ({"rider_end": "seeking at the end"}, [False, True, True]),
+        ({"goal_error_m": 0.6}, [False, True, True]),
         ({"contacts": ("a wall",)}, [True, False, True]),
         ({"rides_on_s": 2.5}, [True, True, False]),
         ({"rides_on_s": None}, [True, True, False]),

@@ -26,7 +26,7 @@ from hitchhike_ros.errors import TransitionError
 from hitchhike_ros.geometry import compose, distance, wrap_angle
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.hitchhiker import BEFORE_RIDE, COUPLED, RETURNING, HitchhikerState
-from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, TakeObstacles, TakePose, Tick
+from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, NavigationReport, TakeObstacles, TakePose, Tick
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
     Accept,
@@ -258,6 +258,7 @@ def test_the_drivers_speed_is_fed_forward_only_while_it_is_fresh_and_never_into_
     bench.hear(Driver, v=0.5)
     bench.hear(Terminate)
     _localized(bench, Pose2D(1.7, 5.72))
+    bench.wait(bench.machine.params.part_s + 0.2)
     assert bench.machine.state is S.IDLE
     bench.step(GoalGiven(RIDER_GOAL))
     for cls in (Accept, Aligned):
@@ -282,7 +283,9 @@ def test_a_driver_that_falls_silent_leaves_a_rough_pose_and_a_robot_that_goes_on
     bench.hear(Driver, **message)  # the driver has not heard that it was lost
     assert [m.reason for m in bench.take(Terminate)] == [reason]
     _localized(bench, expected)
+    bench.wait(bench.machine.params.part_s + 0.2)
     assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, reason, RIDER_GOAL)
+    bench.clear()
     bench.hear(Decouple)
     assert [type(m) for m in bench.take(Message)] == [Terminate]  # nothing was handed over, so nothing is acknowledged
 
@@ -376,9 +379,9 @@ def test_a_marker_that_is_seen_far_away_is_driven_up_to_first() -> None:
     ("state", "limit", "then", "reason"),
     [
         (S.SEEKING, "seek_timeout_s", S.LOCATING, "Driver lost"),
-        (S.LOCATING, "localize_timeout_s", S.IDLE, "Driver lost; localization did not answer"),
-        (S.CATCHING_UP, "catch_up_timeout_s", S.IDLE, "Driver not caught up with"),
-        (S.RECOUPLING, "max_couple_s", S.IDLE, "Large couple_time"),
+        (S.LOCATING, "localize_timeout_s", S.PARTING, "Driver lost; localization did not answer"),
+        (S.CATCHING_UP, "catch_up_timeout_s", S.PARTING, "Driver not caught up with"),
+        (S.RECOUPLING, "max_couple_s", S.PARTING, "Large couple_time"),
     ],
 )
 def test_every_step_of_the_search_ends_by_itself(
@@ -394,7 +397,7 @@ def test_every_step_of_the_search_ends_by_itself(
     bench.clear()
     bench.wait(0.5)
     assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (then, reason, RIDER_GOAL)
-    assert [m.reason for m in bench.take(Terminate)][:1] == ([reason] if then is S.IDLE else [])
+    assert [m.reason for m in bench.take(Terminate)][:1] == ([reason] if then is S.PARTING else [])
 
 
 @pytest.mark.parametrize("state", [S.SEEKING, S.LOCATING, S.CATCHING_UP, S.RECOUPLING])
@@ -412,10 +415,36 @@ def test_a_driver_that_does_not_wait_leaves_a_robot_that_goes_on_alone(state: Hi
         bench.gap = None
         bench.wait(bench.machine.params.settle_timeout_s + 0.2)
     expected = {"silence": "No message from the driver", "terminate": "Hitchhiker lost", "decouple": "Driver lost"}[how]
-    if bench.machine.state is not S.IDLE:
+    if bench.machine.state is not S.PARTING:
         assert bench.machine.state is S.RELOCALIZING
         _localized(bench, Pose2D(1.7, 5.72))
+    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.PARTING, expected, RIDER_GOAL)
+    assert (bench.machine.servo, bench.machine.way) == (None, None)  # it stands while the driver goes
+    bench.wait(bench.machine.params.part_s + 0.2)
     assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, expected, RIDER_GOAL)
+
+
+def test_it_looks_for_the_marker_from_one_place_after_the_other() -> None:
+    bench = rider_in(S.CATCHING_UP)
+    driver = _told(bench)
+    bench.pose = Pose2D(driver.x - 3.0, 5.72)
+
+    def way(navigation: str, seconds: float) -> Pose2D | None:
+        for _ in range(round(seconds * 10)):
+            report = None if bench.machine.way is None else NavigationReport(bench.machine.way.id, navigation)
+            bench.now += 0.1
+            bench.step(Tick(replace(bench.situation(), navigation=report)))
+            bench.hear(Driver, x=driver.x, y=driver.y, theta=driver.theta)
+        return None if bench.machine.way is None else bench.machine.way.pose
+
+    first = way("driving", 2.0)
+    assert way("arrived", 1.5) == first
+    second = way("arrived", 1.0)
+    front = compose(compose(driver, MARKER_POSE), Pose2D(CAMERA[0] + 0.8, 0.0, np.pi))
+    assert distance(second, front) < 1e-9
+    assert abs(wrap_angle(second.theta - front.theta)) < 1e-9
+    assert way("failed", 2.5) is None
+    assert (bench.machine.state, bench.machine.reason) == (S.PARTING, "Driver not caught up with")
 
 
 # Decoupling.
@@ -512,7 +541,7 @@ def test_the_goal_may_be_cancelled_in_every_state(state: HitchhikerState) -> Non
     bench = rider_in(state)
     bench.step(GoalCancelled())
     told = Terminate if state in (*COUPLED, *RETURNING) else RequestCancel
-    nobody = state in (S.IDLE, S.REQUESTING, S.RELOCALIZING)
+    nobody = state in (S.IDLE, S.REQUESTING, S.RELOCALIZING, S.PARTING)
     assert [type(m) for m in bench.take(Message)] == ([] if nobody else [told])
     _localized(bench, Pose2D(1.7, 5.72))
     assert bench.machine.state is S.IDLE

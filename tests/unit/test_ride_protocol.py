@@ -309,7 +309,7 @@ def test_a_driver_that_hears_again_of_a_ride_that_was_given_up_goes_on_at_once()
         (1.0, ["seeking", "riding"]),
         (5.0, ["seeking", "riding"]),
         (10.0, ["seeking", "locating", "catching_up", "recoupling", "riding"]),
-        (200.0, ["seeking", "locating", "catching_up", "navigating"]),
+        (200.0, ["seeking", "locating", "catching_up", "parting", "navigating"]),
     ],
 )
 def test_a_rider_that_loses_sight_of_its_driver(blind_s: float, through: list[str]) -> None:

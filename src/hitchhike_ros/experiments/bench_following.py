@@ -69,6 +69,7 @@ def lost_figures(runs: tuple[LostResult, ...]) -> list[Figure]:
         Figure("driver lost: contacts", float(sum(len(run.contacts) for run in runs)), "", 0.0),
         Figure("driver lost: until both ride again after a short cover", _worst(short), "s", RIDES_ON_S),
         Figure("driver lost: rides completed all the same", _count(run.rode_on for run in runs), ""),
+        Figure("driver lost: distance from the goal at the end", _worst(run.goal_error_m for run in runs), "m"),
         Figure("driver lost: longest run", max((run.duration_s for run in runs), default=None), "s"),
     ]
 

@@ -17,6 +17,7 @@ from hitchhike_ros.datatypes import Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.experiments.composed_record import ComposedRecorder
 from hitchhike_ros.experiments.following_rides import DRIVER, RIDER, SIGMA, Course, build, changes_of
 from hitchhike_ros.experiments.ride_record import RideRecord
+from hitchhike_ros.geometry import distance
 from hitchhike_ros.protocol.driver import ARRIVED
 from hitchhike_ros.simulation.composed import ComposedRide
 from hitchhike_ros.simulation.faults import Fault
@@ -40,6 +41,8 @@ _NORTH_Y, _MIDDLE_Y, _SOUTH_Y = 6.5, 5.72, 4.95
 _AWAY = Person("eve", ((20.0, _NORTH_Y), (20.0, _SOUTH_Y)), 1.0, 1e6, hurried=True)
 # A ride goes on within so long of a short cover.
 RIDES_ON_S = 2.0
+# So near to its goal a robot is there: 0.1 m is the tolerance, the rest what it knows of its place in a bare corridor.
+GOAL_M = 0.5
 
 Plan = Callable[[np.random.Generator, float], list[Fault]]
 
@@ -93,7 +96,8 @@ MISHAPS = (
 class LostResult:
     """How a ride with a mishap ended.
 
-    ``rides_on_s`` is how long after the mishap's end both rode again, None: they did not, or it did not end.
+    ``goal_error_m`` is the farther robot's, by ground truth; ``rides_on_s`` is how long after the mishap's end both
+    rode again, None: they did not, or it did not end.
     """
 
     seed: int
@@ -103,12 +107,14 @@ class LostResult:
     states: tuple[str, ...]
     contacts: tuple[str, ...]
     duration_s: float
+    goal_error_m: float
     short: bool
     rides_on_s: float | None
 
     @property
     def arrived(self) -> bool:
-        return self.driver_end == self.rider_end == ARRIVED
+        """Whether both say that they are at their goals, and are."""
+        return self.driver_end == self.rider_end == ARRIVED and self.goal_error_m <= GOAL_M
 
     @property
     def rode_on(self) -> bool:
@@ -153,6 +159,7 @@ def lose(package: Path, seed: int) -> LostResult:
             tuple(status.state for status in recorder.record.robots[RIDER].statuses),
             tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in world.contacts()),
             world.now,
+            max(distance(world.robots[n].ground_truth()[0], e.goal or e.start) for n, e in file.robots.items()),
             mishap.short,
             _rides_on(recorder.record, fault_end),
         )

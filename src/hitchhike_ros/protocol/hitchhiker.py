@@ -3,7 +3,8 @@
 A driver that is lost from sight is sought by the camera first (``seeking``, while servoing coasts and looks around).
 What fails there goes on by itself: it localizes from what it knows of the driver (``locating``), drives up behind the
 driver, who waits (``catching_up``), couples anew (``recoupling``), and rides on. Whichever of these fails or takes too
-long ends the ride, and the robot drives to its goal alone, as P17 §4 does at once.
+long ends the ride: the robot lets the driver go first (``parting``) and drives to its goal alone, as P17 §4 does at
+once.
 """
 
 from __future__ import annotations
@@ -87,6 +88,7 @@ class HitchhikerState(Enum):
     LOCATING = "locating"
     CATCHING_UP = "catching_up"
     RECOUPLING = "recoupling"
+    PARTING = "parting"
     SETTLING = "settling"
     RELOCALIZING = "relocalizing"
 
@@ -118,23 +120,24 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Row((S.RIDING,), Tick, "_watch_driver", (S.SEEKING, S.RELOCALIZING)),
         Row((S.SEEKING,), Tick, "_seek", (S.RIDING, S.RELOCALIZING)),
         Row((S.LOCATING,), Tick, "_locate", (S.CATCHING_UP, S.RELOCALIZING)),
-        Row((S.CATCHING_UP,), Tick, "_catch_up", (S.RECOUPLING, S.IDLE)),
-        Row((S.RECOUPLING,), Tick, "_recouple", (S.RIDING, S.IDLE)),
+        Row((S.CATCHING_UP,), Tick, "_catch_up", (S.RECOUPLING, S.PARTING)),
+        Row((S.RECOUPLING,), Tick, "_recouple", (S.RIDING, S.PARTING)),
         Row((S.RIDING, S.SEEKING, *RETURNING), Driver, "_acknowledge"),
         Row((S.RIDING, S.SEEKING), Decouple, "_settle", (S.SETTLING,)),
         Row((S.RIDING, S.SEEKING, S.LOCATING), Terminate, "_abandoned", (S.RELOCALIZING,)),
-        Row((S.CATCHING_UP, S.RECOUPLING), Terminate, "_left_behind", (S.IDLE,)),
-        Row(RETURNING, Decouple, "_overtaken", (S.RELOCALIZING, S.IDLE)),
+        Row((S.CATCHING_UP, S.RECOUPLING), Terminate, "_left_behind", (S.PARTING,)),
+        Row(RETURNING, Decouple, "_overtaken", (S.RELOCALIZING, S.PARTING)),
         Row((S.SETTLING,), Decouple, "_newer_pose"),
         Row((S.SETTLING,), Tick, "_take_over", (S.RELOCALIZING,)),
         Row((S.SETTLING,), Terminate, "_abandoned", (S.RELOCALIZING,)),
-        Row((S.RELOCALIZING,), Tick, "_watch_localization", (S.IDLE,)),
-        Row((S.RELOCALIZING, S.IDLE), Decouple, "_answer_late"),
-        Row((S.RELOCALIZING, S.IDLE), Driver, "_answer_late"),
+        Row((S.RELOCALIZING,), Tick, "_watch_localization", (S.IDLE, S.PARTING)),
+        Row((S.RELOCALIZING, S.PARTING, S.IDLE), Decouple, "_answer_late"),
+        Row((S.RELOCALIZING, S.PARTING, S.IDLE), Driver, "_answer_late"),
         Row((S.IDLE,), Aligned, "_answer_late"),
         Row(BEFORE_RIDE, GoalCancelled, "_cancel", (S.IDLE,)),
         Row((*COUPLED, S.LOCATING), GoalCancelled, "_cancel_ride", (S.RELOCALIZING,)),
         Row((S.CATCHING_UP, S.RECOUPLING), GoalCancelled, "_cancel_return", (S.IDLE,)),
+        Row((S.PARTING,), GoalCancelled, "_cancel_parting", (S.IDLE,)),
         Row((S.IDLE, S.RELOCALIZING), GoalCancelled, "_nothing_to_cancel"),
     )
     TIMEOUTS = (
@@ -143,9 +146,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Timeout(S.AWAITING_ALIGNED, "max_align_s", "_not_aligned", (S.REQUESTING,)),
         Timeout(S.COUPLING, "max_couple_s", "_not_coupled", (S.REQUESTING,)),
         Timeout(S.SEEKING, "seek_timeout_s", "_not_found", (S.LOCATING,)),
-        Timeout(S.LOCATING, "localize_timeout_s", "_give_up_locating", (S.IDLE,)),
-        Timeout(S.CATCHING_UP, "catch_up_timeout_s", "_not_caught", (S.IDLE,)),
-        Timeout(S.RECOUPLING, "max_couple_s", "_not_recoupled", (S.IDLE,)),
+        Timeout(S.LOCATING, "localize_timeout_s", "_give_up_locating", (S.PARTING,)),
+        Timeout(S.CATCHING_UP, "catch_up_timeout_s", "_not_caught", (S.PARTING,)),
+        Timeout(S.RECOUPLING, "max_couple_s", "_not_recoupled", (S.PARTING,)),
+        Timeout(S.PARTING, "part_s", "_parted", (S.IDLE,)),
         Timeout(S.SETTLING, "settle_timeout_s", "_take_over_now", (S.RELOCALIZING,)),
         Timeout(S.RELOCALIZING, "localize_timeout_s", "_give_up_localizing", (S.IDLE,)),
     )
@@ -172,7 +176,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._told: deque[Pose2D] = deque()  # where the driver said that it was, on this ride
         self._ways = 0
         self._way: GoalCommand | None = None
-        self._aimed_at = Pose2D()
+        self._aimed_at: Pose2D | None = None
+        self._places: deque[Pose2D] = deque()
+        self._looking_since: float | None = None
 
     def step(self, event: object, now: float) -> list:
         """As Machine.step; messages of other rides than the current one are ignored."""
@@ -303,7 +309,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._go(S.RELOCALIZING, DRIVER_SILENT)
         elif self._located():
             self._go(S.CATCHING_UP, OUT_OF_SIGHT)
-            self._way = None
+            self._way = self._aimed_at = None
 
     def _catch_up(self, _tick: Tick) -> None:
         gap = self.gap_m()
@@ -312,8 +318,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         elif gap is not None and gap <= self.params.gap_m + _COUPLING_REACH_M:
             self._in_gap_since = None
             self._go(S.RECOUPLING, SEEN_AGAIN)
-        else:
-            self._aim_behind_driver()
+        elif not self._aim_at_driver():
+            self._go_alone(NOT_CAUGHT)
 
     def _recouple(self, _tick: Tick) -> None:
         gap = self._settled_gap()
@@ -359,7 +365,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._relocalize(self._rough_pose(), message.reason)
 
     def _left_behind(self, message: Terminate) -> None:
-        self._finish(message.reason)
+        self._part(message.reason)
 
     def _overtaken(self, message: Decouple) -> None:
         """The driver has come to the end of the ride without its rider."""
@@ -368,11 +374,12 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if self.state is S.LOCATING:
             self._go(S.RELOCALIZING, DRIVER_LOST)
         else:
-            self._finish(DRIVER_LOST)
+            self._part(DRIVER_LOST)
 
     def _watch_localization(self, _tick: Tick) -> None:
         if self._located():
-            self._finish(self.reason)
+            end = self._finish if self._taken_over or self.goal is None else self._part
+            end(self.reason)
 
     def _answer_late(self, message: Decouple | Driver | Aligned) -> None:
         """The driver still carries on with the ride that is over here: what it was told was lost."""
@@ -394,7 +401,12 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _cancel_return(self, _event: GoalCancelled) -> None:
         self.goal = None
-        self._go_alone(RIDE_CANCELLED)
+        self._tell(Terminate(**self._to_driver(), reason=RIDE_CANCELLED))
+        self._finish(RIDE_CANCELLED)
+
+    def _cancel_parting(self, _event: GoalCancelled) -> None:
+        self.goal = None
+        self._finish(RIDE_CANCELLED)
 
     def _nothing_to_cancel(self, _event: GoalCancelled) -> None:
         self.goal = None
@@ -428,6 +440,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _not_recoupled(self) -> None:
         self._go_alone(NOT_COUPLED)
+
+    def _parted(self) -> None:
+        self._finish(self.reason)
 
     def _give_up_localizing(self) -> None:
         self._finish(f"{self.reason}; localization did not answer".lstrip("; "))
@@ -484,7 +499,11 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _go_alone(self, reason: str) -> None:
         """The ride is over for one that knows where it is."""
         self._tell(Terminate(**self._to_driver(), reason=reason))
-        self._finish(reason)
+        self._part(reason)
+
+    def _part(self, reason: str) -> None:
+        """Both are near each other, and neither sees well to its back: one goes first."""
+        self._go(S.PARTING, reason)
 
     def _silent(self) -> bool:
         return self._now - self._heard_at > self.params.message_timeout_s
@@ -529,24 +548,48 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         order = f"{self.ride_id}-line"
         return GoalCommand(order, own.x, own.y, heading, _IN_LINE_M, _IN_LINE_RAD, along_wall=point.wall)
 
-    def _aim_behind_driver(self) -> None:
-        """The way to where the marker is straight ahead: a place that the driver has driven over, or a turn on the spot
-        for one that is near already. A new order only when the driver has gone on."""
-        estimate = self.situation.estimate
-        if self.offer is None or estimate is None or not self._told:
-            return
-        driver = self._told[-1]
-        if self._way is not None and driver == self._aimed_at:
-            return
-        marker = compose(driver, self.offer.marker_pose)
-        off = self._camera[0] + self.params.gap_m + _CATCH_UP_M
-        places = (estimate.pose, *reversed(self._told))
-        near = distance(estimate.pose, marker) < off
-        place = places[0] if near else next((p for p in places[1:] if distance(p, marker) >= off), places[-1])
-        heading = math.atan2(marker.y - place.y, marker.x - place.x)
-        self._ways, self._aimed_at = self._ways + 1, driver
+    def _aim_at_driver(self) -> bool:
+        """Order the way to the next place from where the marker may be seen; False when there is none left.
+
+        A driver that has gone on is a reason to begin anew.
+        """
+        if not self._told:
+            return False
+        if self._told[-1] != self._aimed_at:
+            self._aimed_at, self._places = self._told[-1], deque(self._places_to_look())
+            self._way = None
+        if self._way is not None and not self._looked_in_vain(self._way):
+            return True
+        if not self._places:
+            return False
+        place = self._places.popleft()
+        self._ways, self._looking_since = self._ways + 1, None
         order = f"{self.ride_id}-behind-{self._ways}"
-        self._way = GoalCommand(order, place.x, place.y, heading, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD)
+        self._way = GoalCommand(order, place.x, place.y, place.theta, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD)
+        return True
+
+    def _places_to_look(self) -> list[Pose2D]:
+        """On the driver's own track, or on the spot when it is near; then straight in front of its marker."""
+        estimate = self.situation.estimate
+        if self.offer is None or estimate is None:
+            return []
+        marker = compose(self._told[-1], self.offer.marker_pose)
+        off = self._camera[0] + self.params.gap_m
+        behind = next((p for p in reversed(self._told) if distance(p, marker) >= off + _CATCH_UP_M), self._told[0])
+        behind = estimate.pose if distance(estimate.pose, marker) < off + _CATCH_UP_M else behind
+        return [
+            Pose2D(p.x, p.y, math.atan2(marker.y - p.y, marker.x - p.x)) for p in (behind, compose(marker, Pose2D(off)))
+        ]
+
+    def _looked_in_vain(self, way: GoalCommand) -> bool:
+        """Whether it has stood at the place for a while, or there is no way to it."""
+        report = self.situation.navigation
+        if report is None or report.goal_id != way.id or report.state not in ("arrived", "failed"):
+            self._looking_since = None
+            return False
+        if self._looking_since is None:
+            self._looking_since = self._now
+        return self._now - self._looking_since > self.params.look_s
 
     def _lose_driver(self, reason: str) -> None:
         self._tell(Terminate(**self._to_driver(), reason=reason))

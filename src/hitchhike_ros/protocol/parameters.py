@@ -36,6 +36,8 @@ class HitchhikingParameters:
     message_timeout_s: Positive = 5.0  # the rider gives up when the driver says nothing for so long
     seek_timeout_s: Positive = 8.0  # for finding the marker again by coasting and turning
     catch_up_timeout_s: Positive = 20.0  # for driving up behind a driver that waits
+    look_s: Positive = 2.0  # for seeing its marker from a place behind it
+    part_s: Positive = 6.0  # the rider stands so long when a ride breaks off, while the driver goes
     decouple_timeout_s: Positive = 10.0
     settle_timeout_s: Positive = 3.0  # for standing still before the relative pose is taken
     localize_timeout_s: Positive = 5.0
