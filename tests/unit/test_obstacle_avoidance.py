@@ -432,3 +432,30 @@ def test_who_waited_long_is_not_stuck() -> None:
         drive.step()
     drive.run(40.0)
     drive.assert_arrived()
+
+
+@ROBOTS
+def test_robots_that_say_where_they_are_are_gone_around_unseen(limits: RobotLimits) -> None:
+    """The laser of a low robot sees only the mast of another one, or nothing of it."""
+    start, goal, other, radius = Pose2D(6.0, 5.72), Pose2D(12.0, 5.72), Pose2D(9.0, 5.60), 0.37
+    drive = Drive(limits, CORRIDOR, start, [(6.0, 5.72), (12.0, 5.72)], goal)
+    w, controller = drive.world, drive.controller
+    nearest = math.inf
+    for _ in range(300):
+        decision = controller.step(w.now, w.pose, w.twist, w.scan(), LASER[limits], 0.5, others=[(other, radius)])
+        w.drive(decision.twist)
+        nearest = min(nearest, math.hypot(w.pose.x - other.x, w.pose.y - other.y))
+        if decision.state == "arrived":
+            break
+    assert decision.state == "arrived"
+    assert nearest > radius + limits.inscribed_m
+
+
+def test_a_robot_that_is_too_near_leaves_room_to_drive_away() -> None:
+    drive = Drive(TURTLEBOT, CORRIDOR, Pose2D(6.0, 5.72), [(6.0, 5.72), (9.0, 5.72)], Pose2D(9.0, 5.72))
+    w = drive.world
+    for _ in range(40):
+        others = [(Pose2D(5.6, 5.72), 0.4)]
+        decision = drive.controller.step(w.now, w.pose, w.twist, w.scan(), LASER[TURTLEBOT], 0.5, others=others)
+        w.drive(decision.twist)
+    assert w.pose.x > 6.5

@@ -462,6 +462,19 @@ def test_others_are_known_where_they_say_they_are_as_long_as_they_speak() -> Non
     assert traveller.status(17.0).robots == ()
 
 
+def test_a_driver_that_falls_silent_on_a_ride_counts_as_waiting_where_it_was() -> None:
+    world = World(passes=lambda now, _message: now < world.until)
+    world.run(until=lambda: world.rider.pose.x > 10.0)
+    world.until = world.now
+    world.run(20.0)
+    (known,) = world.rider.statuses[-1].robots
+    # Relative to itself it is right, however far off its own estimate is.
+    rider = world.rider
+    assert distance(between(rider.estimate, Pose2D(known.x, known.y)), between(rider.pose, world.driver.pose)) < 0.1
+    world.run(25.0)
+    assert world.rider.statuses[-1].robots == ()
+
+
 # Anything, in any order.
 
 _USUAL: dict[str, tuple[type[Message], ...]] = {

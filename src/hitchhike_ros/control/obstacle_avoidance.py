@@ -10,6 +10,7 @@ could not brake before contact, and scored along the shifted path. Near the goal
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -29,6 +30,8 @@ from hitchhike_ros.geometry import between, distance
 from hitchhike_ros.robot_model import RobotLimits
 
 State = Literal["driving", "arrived", "blocked"]
+# A robot's outline as points no farther apart than the field's cells.
+_OUTLINE_POINTS = 48
 Samples = Annotated[int, msgspec.Meta(ge=2)]
 # An approach ends within this share of the goal's tolerance; what is left of the heading is then turned standing.
 _CURVE_ENDS = 0.8
@@ -193,11 +196,14 @@ class ObstacleAvoidance:
         T_base_laser: Pose2D,
         speed_limit: float,
         gentle: bool = False,
+        others: Sequence[tuple[Pose2D, float]] = (),
     ) -> Decision:
         """The command for the next scan period.
 
         ``pose`` (in ``map``) and ``twist`` are those at the scan's stamp; ``speed_limit`` in m/s; ``gentle`` while a
-        hitchhiker follows. Inputs that are not finite, too old or empty give a stand with state ``blocked``.
+        hitchhiker follows. ``others`` are robots that say where in ``map`` they are, with the radius of each: a laser
+        sees of a robot only what is at its own height. Inputs that are not finite, too old or empty give a stand with
+        state ``blocked``.
         """
         try:
             points = self._usable_points(now, pose, twist, scan, speed_limit)
@@ -214,7 +220,7 @@ class ObstacleAvoidance:
             return self._stand("driving", "speed limit is zero")
         limits = self._rider_limits if gentle else self._limits
         limits = replace(limits, max_speed_mps=min(limits.max_speed_mps, speed_limit))
-        field = ClearanceField(points)
+        field = ClearanceField(np.vstack([points, *(self._outline(pose, *other) for other in others)]))
         before = self._command
         decision = self._drive(leg, now, pose, twist, field, limits, gentle)
         recovery = self._recovery.step(now, decision.state == "blocked")
@@ -245,6 +251,15 @@ class ObstacleAvoidance:
         if not abs(now - scan.stamp) <= self._params.max_age_s:
             raise SensorDataError(f"scan is {now - scan.stamp:.2f} s old")
         return scan_points(scan, self._params.max_nan_fraction)
+
+    def _outline(self, pose: Pose2D, other: Pose2D, radius_m: float) -> FloatArray:
+        """Points (N, 2) around another robot, in the own frame; of one that is too near only what leaves room to go."""
+        seen = between(pose, other)
+        radius = min(radius_m, math.hypot(seen.x, seen.y) - self._limits.circumscribed_m - self._params.margin_m)
+        if radius <= 0.0:
+            return np.empty((0, 2))
+        angles = np.linspace(0.0, 2.0 * math.pi, _OUTLINE_POINTS, endpoint=False)
+        return np.array([seen.x, seen.y]) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def _look_around(self, now: float, twist: Twist2D, field: ClearanceField, limits: RobotLimits) -> Twist2D | None:
         """A slow turn on the spot; None without room for one."""

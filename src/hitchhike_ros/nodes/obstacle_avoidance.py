@@ -220,8 +220,9 @@ class ObstacleAvoidanceNode:
             self._act(goal, NavigationReport(goal.id, "idle", "no plan to the goal"), Twist2D(), WARN)
             return
         limit = self._limits.max_speed_mps if status.speed_limit_mps is None else status.speed_limit_mps
+        others = [(Pose2D(r.x, r.y), r.radius_m) for r in status.robots]
         decision = self._avoidance.step(
-            self._decided_at, pose, self._odometry.twist, scan, self._T_base_laser, limit, status.carries_rider
+            self._decided_at, pose, self._odometry.twist, scan, self._T_base_laser, limit, status.carries_rider, others
         )
         level = ERROR if decision.state == "blocked" else OK
         self._act(goal, NavigationReport(goal.id, decision.state, decision.reason), decision.twist, level)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from hitchhike_ros.datatypes import MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.geometry import compose, distance, wrap_angle
+from hitchhike_ros.geometry import compose, distance, inverse, wrap_angle
 from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 from hitchhike_ros.localization.handover import handover
 from hitchhike_ros.mapping.sites import Sites
@@ -173,6 +173,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._settled_pose: PoseEstimate | None = None
         self._taken_over = False  # by the handover of this ride
         self._track = DriverTrack()
+        self.left_at: Pose2D | None = None  # where it saw its driver when it took to its own localization again
         self._told: deque[Pose2D] = deque()  # where the driver said that it was, on this ride
         self._ways = 0
         self._way: GoalCommand | None = None
@@ -282,7 +283,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if gap is None:
             return
         self._heard_at = self._now
-        self._track, self._told = DriverTrack(), deque()
+        self._track, self._told, self.left_at = DriverTrack(), deque(), None
         self._start_riding(gap, "")
 
     def _watch_driver(self, _tick: Tick) -> None:
@@ -602,6 +603,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _restart_from(self, pose: PoseEstimate | None) -> None:
         """Localization and mapping take over from the ride."""
         self._settled_pose = pose
+        seen = self._observation()
+        if pose is not None and seen is not None and self.offer is not None:
+            self.left_at = compose(compose(pose.pose, seen.pose), inverse(self.offer.marker_pose))
         if pose is not None:
             self._effects.append(TakePose(pose))
         if self._report_at is not None and self._report_at.new_obstacles.obstacles:

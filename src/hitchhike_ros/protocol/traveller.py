@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.errors import PlanningError
 from hitchhike_ros.geometry import path_length
@@ -42,6 +44,7 @@ class Traveller:
         self._pending: Pose2D | None = None
         self._robots: dict[str, tuple[KnownRobot, float]] = {}
         self._beacon_due = 0.0
+        self._driver = ""  # of the newest ride
 
     @property
     def rides(self) -> bool:
@@ -75,7 +78,9 @@ class Traveller:
         """What the modules have to do now."""
         machine = self.hitchhiker if self.rides else self.driver
         role = "hitchhiker" if self.rides else ("driver" if self.driver.offer is not None else "none")
-        robots = tuple(robot for robot, heard in self._robots.values() if now - heard <= self.params.robot_timeout_s)
+        if self.hitchhiker.offer is not None:
+            self._driver = self.hitchhiker.offer.robot_id
+        robots = tuple(robot for name, (robot, heard) in self._robots.items() if now - heard <= self._memory_s(name))
         return Status(
             time_stamp=now,
             robot_id=self.robot_id,
@@ -90,10 +95,16 @@ class Traveller:
             robots=robots,
         )
 
+    def _memory_s(self, robot_id: str) -> float:
+        """How long a silent robot counts as being where it said: a driver without a rider stands there and waits."""
+        return self.params.lost_timeout_s if robot_id == self._driver else self.params.robot_timeout_s
+
     def _tick(self, tick: Tick, now: float) -> list[Effect]:
         self._situation = tick.situation
         rode = self.rides
+        left_at = self.hitchhiker.left_at
         effects = self.hitchhiker.step(tick, now) + self.driver.step(tick, now)
+        self._note_driver(left_at, now)
         if rode and not self.rides and self.hitchhiker.goal is not None:
             effects += self.driver.step(GoalGiven(self.hitchhiker.goal), now)
             self.driver.reason = self.hitchhiker.reason  # why it goes on alone
@@ -105,6 +116,12 @@ class Traveller:
             self._beacon_due = now + self.params.beacon_period_s
             effects.append(Send(self._beacon()))
         return effects
+
+    def _note_driver(self, left_at: Pose2D | None, now: float) -> None:
+        """A driver that is left is where it was seen then: what it said last may be metres old."""
+        seen, known = self.hitchhiker.left_at, self._robots.get(self._driver)
+        if seen is not None and seen != left_at and known is not None:
+            self._robots[self._driver] = (replace(known[0], x=seen.x, y=seen.y), now)
 
     def _drop_goal(self, now: float) -> list[Effect]:
         self._pending = None

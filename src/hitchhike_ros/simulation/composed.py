@@ -147,6 +147,10 @@ class ComposedRobot:
             self._map = self._grid.with_obstacles(self._mapped)
         return self._map
 
+    @property
+    def _others(self) -> list[tuple[Pose2D, float]]:
+        return [(Pose2D(r.x, r.y), r.radius_m) for r in self.status.robots]
+
     def sense_odometry(self, odometry: Odometry) -> None:
         """The wheels' reading; localization counts it even while it is off, so that it can start again."""
         self._localizer.predict(odometry)
@@ -165,8 +169,7 @@ class ComposedRobot:
         if self.estimate is None:
             return
         if modules.MAP:
-            others = [(Pose2D(r.x, r.y), r.radius_m) for r in self.status.robots]
-            self.mapper.update(scan, self.estimate, self._T_base_laser, others)
+            self.mapper.update(scan, self.estimate, self._T_base_laser, self._others)
         if modules.PP and modules.OBS:
             self._navigate(scan, now, self.estimate)
 
@@ -280,7 +283,7 @@ class ComposedRobot:
         twist = self.body.odometry().twist
         limit = self.status.speed_limit_mps or self.limits.max_speed_mps
         decision = self._avoidance.step(
-            now, estimate.pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider
+            now, estimate.pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider, self._others
         )
         self._report = NavigationReport(goal.id, decision.state, decision.reason)
         self._mux.command("navigation", decision.twist, now)
