@@ -132,6 +132,18 @@ def test_who_stops_for_three_seconds_is_never_a_box(grid, arrival):
     assert not told
 
 
+def test_two_who_stop_at_one_place_one_after_the_other_are_no_box(grid):
+    """Each for less than a box has to stand there, and for a moment the place is empty."""
+    mapper, told = NewObstacleMapper(grid, MappingParameters()), set()
+
+    def things(t: float) -> list[Obstacle]:
+        told.update(mapper.obstacles)
+        return [person(11.0, 6.2)] if 1.0 < t < 4.0 or 4.3 < t < 7.3 else []
+
+    ride(grid, [(7.0, 5.5), (12.5, 5.5)], things, mapper)
+    assert not told
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_walls_frames_and_pillars_are_no_boxes_though_the_pose_is_off(grid, seed):
     """By 3 cm and more than a degree, while the filter believes in 1 cm."""

@@ -62,14 +62,17 @@ class _Cells:
     scans: FloatArray
     first_stamp: FloatArray
     last_stamp: FloatArray
-    first_view: FloatArray  # (K, 2), where the robot was at first
-    apart: npt.NDArray[np.bool_]  # seen from places far enough apart
+    # Since the last beam that went through: who comes where somebody has just left does not stand there for long.
+    since_stamp: FloatArray
+    since_view: FloatArray  # (K, 2), where the robot was then
+    apart: npt.NDArray[np.bool_]  # seen since then from places far enough apart
 
     @classmethod
     def fresh(cls, keys: npt.NDArray[np.int64], score: FloatArray, stamp: float, view: FloatArray) -> _Cells:
         n = len(keys)
         stamps = np.full(n, stamp)
-        return cls(keys, score, np.ones(n), stamps, stamps.copy(), np.tile(view, (n, 1)), np.zeros(n, dtype=bool))
+        views = np.tile(view, (n, 1))
+        return cls(keys, score, np.ones(n), stamps, stamps.copy(), stamps.copy(), views, np.zeros(n, dtype=bool))
 
     def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> _Cells:
         return _Cells(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
@@ -135,12 +138,13 @@ class NewObstacleMapper:
             return False
         pose = pose_estimate.pose
         T_map_laser = compose(pose, T_base_laser)
-        self._wear_off(scan, T_map_laser)
+        view = np.array([pose.x, pose.y])
+        self._wear_off(scan, T_map_laser, view)
         ends = end_points(scan, T_base_laser, p.max_range_m)
         points, sigma = transform_points(pose, ends.points), p.laser.sigma(ends.ranges)
         self._seen_through.look(scan, T_map_laser, points)
         new = self._away_from_walls(points, sigma, ignore)
-        self._mark(points[new], sigma[new], scan.stamp, pose)
+        self._mark(points[new], sigma[new], scan.stamp, view)
         self._cells = self._cells.select(self._cells.score > 0.0)
         self._find_boxes()
         return True
@@ -164,13 +168,15 @@ class NewObstacleMapper:
             cells.scans[:] = 0.0  # not of its own
             self._cells = self._cells.select(~np.isin(self._cells.keys, keys)).joined(cells)
 
-    def _wear_off(self, scan: LaserScan, T_map_laser: Pose2D) -> None:
-        """Take evidence from the marked cells that a beam passed through."""
+    def _wear_off(self, scan: LaserScan, T_map_laser: Pose2D, view: FloatArray) -> None:
+        """Take evidence from the marked cells that a beam passed through, and what age they have."""
         p = self._parameters
         centres = self._centres(self._cells.keys)
         passed, range_m = passed_through(scan, T_map_laser, centres, p.laser, 2.0 * p.cell_m)
         passed &= range_m < p.max_range_m
-        self._cells.score[passed] -= self._weight(p.laser.sigma(range_m[passed]))
+        cells = self._cells
+        cells.score[passed] -= self._weight(p.laser.sigma(range_m[passed]))
+        cells.since_stamp[passed], cells.since_view[passed], cells.apart[passed] = scan.stamp, view, False
 
     def _away_from_walls(
         self, points: FloatArray, sigma: FloatArray, ignore: Sequence[tuple[Pose2D, float]]
@@ -185,20 +191,22 @@ class NewObstacleMapper:
             away &= np.hypot(points[:, 0] - robot.x, points[:, 1] - robot.y) > radius_m + p.robot_margin_m
         return away
 
-    def _mark(self, points: FloatArray, sigma: FloatArray, stamp: float, pose: Pose2D) -> None:
+    def _mark(self, points: FloatArray, sigma: FloatArray, stamp: float, view: FloatArray) -> None:
         """Give evidence to the cells in which end points (N, 2) lie: once a scan, by the best of them."""
-        p, view = self._parameters, np.array([pose.x, pose.y])
         keys, first = np.unique(self._keys(points), return_inverse=True)
         weight = np.zeros(len(keys))
         np.maximum.at(weight, first, self._weight(sigma))
         at, known = self._cells.find(keys)
         cells, rows = self._cells, at[known]
-        cells.score[rows] = np.minimum(cells.score[rows] + weight[known], p.max_score)
+        cells.score[rows] = np.minimum(cells.score[rows] + weight[known], self._parameters.max_score)
         fresh = cells.scans[rows] == 0
-        cells.first_stamp[rows[fresh]], cells.first_view[rows[fresh]] = stamp, view
+        for stamps in (cells.first_stamp, cells.since_stamp):
+            stamps[rows[fresh]] = stamp
+        cells.since_view[rows[fresh]] = view
         cells.scans[rows] += 1
         cells.last_stamp[rows] = stamp
-        cells.apart[rows] |= np.hypot(*(cells.first_view[rows] - view).T) >= p.min_view_gap_m
+        moved_m = np.hypot(*(cells.since_view[rows] - view).T)
+        cells.apart[rows] |= moved_m >= self._parameters.min_view_gap_m
         self._cells = cells.joined(_Cells.fresh(keys[~known], weight[~known], stamp, view))
 
     def _find_boxes(self) -> None:
@@ -207,7 +215,7 @@ class NewObstacleMapper:
         passing = self._cells.last_stamp - self._cells.first_stamp < p.passing_s
         cells = self._cells.select(~passing | (self._cells.scans == 0))
         centres = self._centres(cells.keys)
-        sure = (cells.scans >= p.min_scans) & (cells.last_stamp - cells.first_stamp >= p.min_age_s) & cells.apart
+        sure = (cells.scans >= p.min_scans) & (cells.last_stamp - cells.since_stamp >= p.min_age_s) & cells.apart
         boxes: dict[str, Obstacle] = {}
         for group, box in self._joined(cells, centres):
             own = bool(sure[group].sum() >= p.min_cells)
