@@ -167,8 +167,8 @@ def corridor_drives(options: Options, progress: Progress) -> tuple[DriveResult, 
 def _drives(package: Path, first_seed: int, count: int, progress: Progress) -> tuple[DriveResult, ...]:
     """Drives on all cores, in the order of their seeds; each result depends on its seed alone."""
     results = {}
-    # Forked, because a spawned process would run the program of the benchmark again.
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, count), get_context("fork")) as pool:
+    # Spawned: a fork takes along the locks of its parent's threads, OpenCV's and BLAS's, and not the threads.
+    with ProcessPoolExecutor(min(os.cpu_count() or 1, count), get_context("spawn")) as pool:
         running = {pool.submit(drive, package, seed): seed for seed in range(first_seed, first_seed + count)}
         for done in as_completed(running):
             results[running[done]] = done.result()
