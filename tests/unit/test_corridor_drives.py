@@ -1,7 +1,9 @@
 """The drives of the benchmarks: what is drawn leaves a way, and what is found is compared with what is there."""
 
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -41,6 +43,12 @@ def test_found_boxes_are_compared_with_the_nearest_and_others_are_phantoms() -> 
     assert (place, size) == pytest.approx((0.03, 0.05))
     again = Obstacle("obs3", 1.1, 1.05, 0.2, 0.1)
     assert compare([near, again], true)[1] == (again,)
+
+
+def test_a_process_of_its_own_can_load_what_a_drive_needs() -> None:
+    """In catkin's devel space too, where the compiled modules are not beside the others."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        assert pool.submit(draw_world, BASE, 3).result(timeout=120.0) == draw_world(BASE, 3)
 
 
 GOOD = DriveResult(0, "p3dx", "Goal reached", (), 25.0, 0.05, 0.02, 3, 3, (), 0.02, 0.03, 1.0, 23.3)

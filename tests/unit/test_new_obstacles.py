@@ -132,6 +132,18 @@ def test_who_stops_for_three_seconds_is_never_a_box(grid, arrival):
     assert not told
 
 
+def test_two_who_stop_at_one_place_one_after_the_other_are_no_box(grid):
+    """Each for less than a box has to stand there, and for a moment the place is empty."""
+    mapper, told = NewObstacleMapper(grid, MappingParameters()), set()
+
+    def things(t: float) -> list[Obstacle]:
+        told.update(mapper.obstacles)
+        return [person(11.0, 6.2)] if 1.0 < t < 4.0 or 4.3 < t < 7.3 else []
+
+    ride(grid, [(7.0, 5.5), (12.5, 5.5)], things, mapper)
+    assert not told
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_walls_frames_and_pillars_are_no_boxes_though_the_pose_is_off(grid, seed):
     """By 3 cm and more than a degree, while the filter believes in 1 cm."""
@@ -144,6 +156,41 @@ def test_walls_frames_and_pillars_are_no_boxes_though_the_pose_is_off(grid, seed
     lobby_and_corridor = [(2.2, 1.8), (3.0, 3.5), (3.0, 5.2), (4.5, 5.7), (9.0, 5.7), (14.0, 5.7)]
     ride(grid, lobby_and_corridor, things, mapper, seed=seed, pose_sigma=0.03, heading_sigma=0.02)
     assert not told
+
+
+def test_pieces_of_a_box_that_are_seen_at_different_times_are_one_box(grid):
+    """Its far side is seen for less than a second in passing, and later its lower part, past somebody."""
+    rng, walls = np.random.default_rng(0), walls_of(grid)
+    mapper = NewObstacleMapper(grid, MappingParameters())
+    screen = Obstacle("person", 13.30, 5.60, 0.05, 0.35)
+    passing = [(0.1 * k, Pose2D(10.0 + 0.06 * k, 5.9, 0.0), []) for k in range(52)]
+    looking_back = [(10.0 + 0.1 * k, Pose2D(14.6 - 0.02 * k, 6.1, math.pi), [screen]) for k in range(10)]
+    for t, pose, others in passing + looking_back:
+        scan = take_scan(pose, np.vstack([walls, boxes_of([BOXES[1], *others])]), rng, t, beams=513)
+        mapper.update(scan, PoseEstimate(t, pose, GOOD), LASER)
+    assert worst(mapper.obstacles, BOXES[1:2]) < 0.05
+
+
+BESIDE = [(7.5, 5.65), (9.0, 5.8), (12.0, 5.8)]
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.06, 0.20])
+def test_a_box_at_a_wall_reaches_the_wall_and_one_before_it_does_not(grid, gap_m):
+    """The corridor's wall is at y = 4.60, and nearer to it than 12 cm an end point counts as the wall's."""
+    box = Obstacle("box", 10.0, 4.60 + gap_m, 0.4, 0.4)
+    (found,) = ride(grid, BESIDE, lambda _: [box], pose_sigma=0.01).obstacles
+    assert found.y == pytest.approx(4.60 if gap_m < 0.1 else box.y, abs=0.06)
+    assert found.y + found.b == pytest.approx(box.y + box.b, abs=0.04)
+
+
+@pytest.mark.parametrize("gap_m", [0.10, 0.16])
+def test_boxes_with_a_gap_that_was_seen_through_are_two(grid, gap_m):
+    boxes = (Obstacle("a", 10.0, 5.0, 0.4, 0.3), Obstacle("b", 10.4 + gap_m, 5.0, 0.3, 0.3))
+    first, second = sorted(ride(grid, BESIDE, lambda _: boxes, pose_sigma=0.01).obstacles, key=lambda box: box.x)
+    assert worst([first], boxes[:1]) < 0.06
+    # How deep the second is, the first hides.
+    assert (second.x, second.w) == pytest.approx((boxes[1].x, 0.3), abs=0.05)
+    assert second.y + second.b == pytest.approx(5.3, abs=0.04)
 
 
 def test_noise_is_not_told(grid):

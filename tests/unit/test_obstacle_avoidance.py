@@ -138,21 +138,58 @@ def test_blocked_it_tries_one_thing_after_the_other_and_never_touches_anything(l
     drive = Drive(limits, CORRIDOR + pen, Pose2D(8.2, 5.72, 0.0), path, Pose2D(12.0, 5.72, 0.0))
     drive.run(10.0)
     said, turned = [], 0.0
-    for second in range(17):
+    for second in range(25):
         for _ in range(10):
             decision = drive.step()
             assert decision.state == "blocked"
             said += [decision.reason.split("; ")[1]]
-            turned += abs(drive.world.twist.omega) * 0.1
+            turned += abs(drive.world.twist.omega) * 0.1 * (said[-1] == "turning to look")
         if second % 2:  # path_planning tries again and again
             drive.controller.set_path(np.array(path), drive.goal)
     steps = ["waiting", "forgetting obstacles out of view", "turning to look", "waiting for another plan"]
+    steps += ["making room"]
     assert list(dict.fromkeys(said)) == steps
     assert [said.count(step) for step in steps[1:3]] == [10, 80]
     assert turned > 1.5 * math.pi
     assert not drive.world.touched
+    for _ in range(120):
+        drive.step()
     for _ in range(70):  # from the top, and with a rider it does not turn
         assert drive.step(gentle=True).twist == Twist2D()
+
+
+@ROBOTS
+def test_it_makes_room_for_those_who_wait_for_it_to_go(limits: RobotLimits) -> None:
+    barrier, path = (10.0, 4.6, 0.4, 2.24), [(8.0, 5.72), (12.0, 5.72)]
+    drive = Drive(limits, (*CORRIDOR, barrier), Pose2D(8.0, 5.72, 0.0), path, Pose2D(12.0, 5.72, 0.0))
+    assert drive.run(30.0).state == "blocked"
+    stopped = drive.world.pose.x
+    for _ in range(250):
+        drive.step()
+        if drive.world.pose.x < stopped - 0.8:
+            break
+    assert drive.decision.reason.endswith("making room")
+    drive.world._array = drive.world._array[:-1]
+    for _ in range(80):
+        drive.step()
+    drive.run(30.0)
+    drive.assert_arrived()
+
+
+@ROBOTS
+def test_before_a_closed_way_it_makes_room_once_and_does_not_go_to_and_fro(limits: RobotLimits) -> None:
+    barrier, path = (10.0, 4.6, 0.4, 2.24), [(8.0, 5.72), (12.0, 5.72)]
+    drive = Drive(limits, (*CORRIDOR, barrier), Pose2D(8.0, 5.72, 0.0), path, Pose2D(12.0, 5.72, 0.0))
+    for second in range(80):
+        for _ in range(10):
+            drive.step()
+        if second % 2 and drive.decision.state == "blocked":
+            drive.controller.set_path(np.array([(drive.world.pose.x, drive.world.pose.y), path[-1]]), drive.goal)
+    assert not drive.world.touched
+    x = [pose.x for pose in drive.poses]
+    assert min(x[200:400]) < 8.7  # it has made room
+    assert min(x[400:]) > 9.2
+    assert drive.decision.state == "blocked"
 
 
 def test_recovery_starts_over_after_a_calm_time_only() -> None:

@@ -24,6 +24,7 @@ from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.pose_approach import CURVES, PERIOD_S, Curve, roll_out_approach
 from hitchhike_ros.control.recovery import Recovery, RecoveryStep
 from hitchhike_ros.control.reference_path import ReferencePath
+from hitchhike_ros.control.trail import Trail
 from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
 from hitchhike_ros.errors import PlanningError, SensorDataError
 from hitchhike_ros.geometry import between, distance
@@ -72,6 +73,8 @@ class ObstacleAvoidanceParameters:
     recovery_turn_s: Positive = 8.0  # once round
     recovery_yaw_rate_rps: Positive = 0.8
     recovery_replan_s: Positive = 4.0  # longer than path_planning takes to try again
+    recovery_withdraw_s: Positive = 8.0  # enough to turn and to go back so far:
+    recovery_withdraw_m: Positive = 1.0
     recovery_calm_s: Positive = 3.0  # after driving for so long the next block is a new one
     progress_weight: NonNegative = 1.0
     lateral_weight: NonNegative = 0.6
@@ -148,15 +151,19 @@ class ObstacleAvoidance:
             RecoveryStep("clear", params.recovery_clear_s, "forgetting obstacles out of view"),
             RecoveryStep("turn", params.recovery_turn_s, "turning to look"),
             RecoveryStep("replan", params.recovery_replan_s, "waiting for another plan"),
+            RecoveryStep("withdraw", params.recovery_withdraw_s, "making room"),
         )
         self._recovery = Recovery(table, params.recovery_calm_s)
         self._command, self._commanded_at = Twist2D(), -math.inf
         self._leg: _Leg | None = None
+        self._trail = Trail(params.recovery_withdraw_m)
+        self._withdrawal: _Leg | None = None
+        self._withdrew_at: Pose2D | None = None
 
     def clear(self) -> None:
         """Forget path and goal; what is known of obstacles stays."""
         self._leg = None
-        self._recovery.reset()
+        self._start_over()
 
     def set_path(
         self, path: FloatArray, goal: Pose2D, tolerance_m: float | None = None, tolerance_rad: float | None = None
@@ -185,7 +192,7 @@ class ObstacleAvoidance:
             if not before.stuck:  # after that another path is another chance
                 self._leg.about, self._leg.progressed_at = before.about, before.progressed_at
         else:
-            self._recovery.reset()
+            self._start_over()
 
     def step(
         self,
@@ -223,18 +230,25 @@ class ObstacleAvoidance:
         field = ClearanceField(np.vstack([points, *(self._outline(pose, *other) for other in others)]))
         before = self._command
         decision = self._drive(leg, now, pose, twist, field, limits, gentle)
-        recovery = self._recovery.step(now, decision.state == "blocked")
-        if recovery is None:
+        # Whoever makes room does not come back at the first gap.
+        recovery = self._recovery.step(now, decision.state == "blocked" or self._withdrawal is not None)
+        if recovery is None or recovery.action != "withdraw":
+            self._withdrawal = None
+            self._trail.add(pose)
+        else:  # what it gives up is no lack of progress
+            leg.about, leg.progressed_at = pose, now
+        if recovery is None or (recovery.action != "withdraw" and decision.state != "blocked"):
             return decision
         reason = f"{decision.reason}; {recovery.says}"
         if recovery.action == "clear":
             self._memory.forget_far(pose)
             leg.detour = None
-        turning = None
-        if recovery.action == "turn" and not gentle:  # whoever follows behind would lose the marker
+        motion = None
+        if recovery.action in ("turn", "withdraw") and not gentle:  # whoever follows behind would lose the marker
             self._command = before
-            turning = self._look_around(now, twist, field, limits)
-        return self._stand("blocked", reason) if turning is None else Decision(turning, "blocked", reason)
+            act = self._look_around if recovery.action == "turn" else self._withdraw
+            motion = act(now, pose, twist, field, limits)
+        return self._stand("blocked", reason) if motion is None else Decision(motion, "blocked", reason)
 
     def _usable_points(
         self, now: float, pose: Pose2D, twist: Twist2D, scan: LaserScan, speed_limit: float
@@ -261,7 +275,27 @@ class ObstacleAvoidance:
         angles = np.linspace(0.0, 2.0 * math.pi, _OUTLINE_POINTS, endpoint=False)
         return np.array([seen.x, seen.y]) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
-    def _look_around(self, now: float, twist: Twist2D, field: ClearanceField, limits: RobotLimits) -> Twist2D | None:
+    def _start_over(self) -> None:
+        self._recovery.reset()
+        self._withdrawal = self._withdrew_at = None
+
+    def _withdraw(
+        self, now: float, pose: Pose2D, twist: Twist2D, field: ClearanceField, limits: RobotLimits
+    ) -> Twist2D | None:
+        """Back along the way that it came, once from one place: who stands in the way may be waiting for the robot."""
+        p = self._params
+        if self._withdrawal is None:
+            if self._withdrew_at is not None and distance(pose, self._withdrew_at) < p.recovery_withdraw_m:
+                return None
+            way = self._trail.back(pose)
+            end, self._withdrew_at = Pose2D(float(way[-1, 0]), float(way[-1, 1])), pose
+            self._withdrawal = _Leg(ReferencePath(way), end, p.goal_tolerance_m, math.tau)
+        decision = self._drive(self._withdrawal, now, pose, twist, field, limits, False)
+        return decision.twist if decision.state == "driving" else None
+
+    def _look_around(
+        self, now: float, _pose: Pose2D, twist: Twist2D, field: ClearanceField, limits: RobotLimits
+    ) -> Twist2D | None:
         """A slow turn on the spot; None without room for one."""
         clearance = float(field.clearance(self._footprint, np.zeros(3)))
         if clearance <= 0.02:
@@ -298,7 +332,7 @@ class ObstacleAvoidance:
         if leg.aligning:
             return self._align(leg, now, pose, goal.theta, twist, field, floor, limits)
         # A rider would lose a marker that goes back or turns away; it also needs no heading where the ride ends.
-        near = left_m <= p.approach_m and not gentle
+        near = left_m <= p.approach_m and leg.tolerance_rad < math.pi and not gentle
         approach = self._approach(leg, goal, twist, field, floor, limits) if near else None
         if approach is not None:
             leg.watch(now, True, pose, p)

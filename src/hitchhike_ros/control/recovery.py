@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-Action = Literal["wait", "clear", "turn", "replan"]
+Action = Literal["wait", "clear", "turn", "withdraw", "replan"]
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ R = TypeVar("R")
 def run_all(what: str, run: Callable[[J], R], jobs: Sequence[J], progress: Progress) -> tuple[R, ...]:
     """``run`` of every job, in the order of the jobs. ``run`` is a function of a module, or a partial of one."""
     results: dict[int, R] = {}
-    # Forked, because a spawned process would run the program of the benchmark again.
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, max(len(jobs), 1)), get_context("fork")) as pool:
+    # Spawned: a fork takes along the locks of its parent's threads, OpenCV's and BLAS's, and not the threads.
+    with ProcessPoolExecutor(min(os.cpu_count() or 1, max(len(jobs), 1)), get_context("spawn")) as pool:
         running = {pool.submit(run, job): i for i, job in enumerate(jobs)}
         for done in as_completed(running):
             results[running[done]] = done.result()

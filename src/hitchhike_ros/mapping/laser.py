@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,3 +56,27 @@ def end_points(scan: LaserScan, T_base_laser: Pose2D, max_range_m: float = np.in
     ranges, angles = scan.ranges[beams], scan.angle_min + scan.angle_increment * beams
     points = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
     return EndPoints(transform_points(T_base_laser, points), ranges, beams)
+
+
+def passed_through(
+    scan: LaserScan, T_map_laser: Pose2D, points: FloatArray, noise: LaserNoise, clearance_m: float
+) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+    """Which points the beam in their direction surely went through.
+
+    Args:
+        scan: the scan.
+        T_map_laser: the laser's pose.
+        points: (N, 2) in ``map``, in m.
+        noise: of the ranges; a beam has to end three standard deviations behind a point.
+        clearance_m: and at least so far behind it.
+
+    Returns:
+        Mask (N,), and the points' distance (N,) from the laser in m.
+    """
+    offset = points - (T_map_laser.x, T_map_laser.y)
+    range_m = np.hypot(offset[:, 0], offset[:, 1])
+    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - T_map_laser.theta - scan.angle_min
+    beam = np.rint(np.mod(bearing, 2 * math.pi) / scan.angle_increment).astype(np.int64)
+    seen = (beam < scan.ranges.size) & (range_m > scan.range_min)
+    measured = scan.ranges[np.where(seen, beam, 0)]
+    return seen & (measured > range_m + np.maximum(clearance_m, 3.0 * noise.sigma(range_m))), range_m

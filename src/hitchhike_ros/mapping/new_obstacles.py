@@ -2,10 +2,12 @@
 
 Each beam that ends away from the walls marks a small cell, and each beam that passes through a marked cell wears the
 mark off, so what moves leaves nothing behind. Cells that were seen for a while and from places apart make a box.
+What no beam went through may belong to it: that joins the sides of a box and sets it against a wall.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +19,8 @@ import numpy.typing as npt
 from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Obstacle, Pose2D, PoseEstimate, Positive
 from hitchhike_ros.geometry import compose, distance, transform_points
 from hitchhike_ros.mapping.grid import FREE, OccupancyGrid, distance_to
-from hitchhike_ros.mapping.laser import LaserNoise, check_scan, end_points
+from hitchhike_ros.mapping.laser import LaserNoise, check_scan, end_points, passed_through
+from hitchhike_ros.mapping.seen_through import SeenThrough
 
 _STRIDE = 1 << 32  # cell (column, row) has the key column * _STRIDE + row
 _HALF = 1 << 31
@@ -40,7 +43,10 @@ class MappingParameters:
     passing_s: NonNegative = 1.2  # longer than somebody who walks at 0.5 m/s covers a cell
     min_view_gap_m: Positive = 0.5
     min_cells: int = 4  # that fulfil all three
-    merge_gap_m: Positive = 0.10
+    merge_gap_m: Positive = 0.05
+    join_gap_m: NonNegative = 0.10  # between boxes that are one unless a beam went through it
+    free_range_m: Positive = 3.0  # as far as beams tell of free space to the width of a gap
+    free_margin_m: NonNegative = 0.06  # from a box's sides; nearer to them noise of range and pose leave doubts
     hysteresis_m: NonNegative = 0.021  # of a side: a change by one cell is noise
     trim: NonNegative = 0.02  # share of the evidence beyond each side of a box
     max_pose_sigma_m: Positive = 0.15  # with a worse pose nothing is mapped
@@ -56,14 +62,17 @@ class _Cells:
     scans: FloatArray
     first_stamp: FloatArray
     last_stamp: FloatArray
-    first_view: FloatArray  # (K, 2), where the robot was at first
-    apart: npt.NDArray[np.bool_]  # seen from places far enough apart
+    # Since the last beam that went through: who comes where somebody has just left does not stand there for long.
+    since_stamp: FloatArray
+    since_view: FloatArray  # (K, 2), where the robot was then
+    apart: npt.NDArray[np.bool_]  # seen since then from places far enough apart
 
     @classmethod
     def fresh(cls, keys: npt.NDArray[np.int64], score: FloatArray, stamp: float, view: FloatArray) -> _Cells:
         n = len(keys)
         stamps = np.full(n, stamp)
-        return cls(keys, score, np.ones(n), stamps, stamps.copy(), np.tile(view, (n, 1)), np.zeros(n, dtype=bool))
+        views = np.tile(view, (n, 1))
+        return cls(keys, score, np.ones(n), stamps, stamps.copy(), stamps.copy(), views, np.zeros(n, dtype=bool))
 
     def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> _Cells:
         return _Cells(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
@@ -88,6 +97,8 @@ class NewObstacleMapper:
         self._to_wall = distance_to(grid.occupied, grid.resolution) - grid.resolution / 2
         self._free = np.equal(grid.data, FREE)
         self._cells = _Cells.fresh(np.zeros(0, dtype=np.int64), np.zeros(0), 0.0, np.zeros(2))
+        p = parameters
+        self._seen_through = SeenThrough(grid, p.laser, p.free_range_m, 2.0 * p.cell_m)
         self._boxes: tuple[Obstacle, ...] = ()
         self._given: dict[str, Obstacle] = {}  # handed over, and not seen by this robot yet
         self._names = 0
@@ -126,11 +137,14 @@ class NewObstacleMapper:
         if covariance[0, 0] + covariance[1, 1] > p.max_pose_sigma_m**2 or covariance[2, 2] > p.max_heading_sigma_rad**2:
             return False
         pose = pose_estimate.pose
-        self._wear_off(scan, compose(pose, T_base_laser))
+        T_map_laser = compose(pose, T_base_laser)
+        view = np.array([pose.x, pose.y])
+        self._wear_off(scan, T_map_laser, view)
         ends = end_points(scan, T_base_laser, p.max_range_m)
-        sigma = p.laser.sigma(ends.ranges)
-        new = self._away_from_walls(transform_points(pose, ends.points), sigma, ignore)
-        self._mark(transform_points(pose, ends.points)[new], sigma[new], scan.stamp, pose)
+        points, sigma = transform_points(pose, ends.points), p.laser.sigma(ends.ranges)
+        self._seen_through.look(scan, T_map_laser, points)
+        new = self._away_from_walls(points, sigma, ignore)
+        self._mark(points[new], sigma[new], scan.stamp, view)
         self._cells = self._cells.select(self._cells.score > 0.0)
         self._find_boxes()
         return True
@@ -138,7 +152,7 @@ class NewObstacleMapper:
     def add(self, obstacles: Iterable[Obstacle]) -> None:
         """Take over boxes from another robot, as often as they come: a box that this robot has seen itself stays."""
         for theirs in obstacles:
-            known = [mine for mine in self._boxes if _touch(mine, theirs, self._parameters.merge_gap_m)]
+            known = [mine for mine in self._boxes if _touch(mine, theirs, self._parameters.join_gap_m)]
             if any(mine.id not in self._given for mine in known):
                 continue
             for mine in known:
@@ -154,20 +168,15 @@ class NewObstacleMapper:
             cells.scans[:] = 0.0  # not of its own
             self._cells = self._cells.select(~np.isin(self._cells.keys, keys)).joined(cells)
 
-    def _wear_off(self, scan: LaserScan, T_map_laser: Pose2D) -> None:
-        """Take evidence from the marked cells that a beam passed through."""
+    def _wear_off(self, scan: LaserScan, T_map_laser: Pose2D, view: FloatArray) -> None:
+        """Take evidence from the marked cells that a beam passed through, and what age they have."""
         p = self._parameters
-        if not len(self._cells.keys):
-            return
-        offset = self._centres(self._cells.keys) - (T_map_laser.x, T_map_laser.y)
-        range_m = np.hypot(offset[:, 0], offset[:, 1])
-        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - T_map_laser.theta - scan.angle_min
-        beam = np.rint(np.mod(bearing, 2 * math.pi) / scan.angle_increment).astype(np.int64)
-        seen = (beam < scan.ranges.size) & (range_m < p.max_range_m) & (range_m > scan.range_min)
-        measured = scan.ranges[np.where(seen, beam, 0)]
-        sigma = p.laser.sigma(range_m)
-        passed = seen & (measured > range_m + np.maximum(2.0 * p.cell_m, 3.0 * sigma))
-        self._cells.score[passed] -= self._weight(sigma[passed])
+        centres = self._centres(self._cells.keys)
+        passed, range_m = passed_through(scan, T_map_laser, centres, p.laser, 2.0 * p.cell_m)
+        passed &= range_m < p.max_range_m
+        cells = self._cells
+        cells.score[passed] -= self._weight(p.laser.sigma(range_m[passed]))
+        cells.since_stamp[passed], cells.since_view[passed], cells.apart[passed] = scan.stamp, view, False
 
     def _away_from_walls(
         self, points: FloatArray, sigma: FloatArray, ignore: Sequence[tuple[Pose2D, float]]
@@ -182,20 +191,22 @@ class NewObstacleMapper:
             away &= np.hypot(points[:, 0] - robot.x, points[:, 1] - robot.y) > radius_m + p.robot_margin_m
         return away
 
-    def _mark(self, points: FloatArray, sigma: FloatArray, stamp: float, pose: Pose2D) -> None:
+    def _mark(self, points: FloatArray, sigma: FloatArray, stamp: float, view: FloatArray) -> None:
         """Give evidence to the cells in which end points (N, 2) lie: once a scan, by the best of them."""
-        p, view = self._parameters, np.array([pose.x, pose.y])
         keys, first = np.unique(self._keys(points), return_inverse=True)
         weight = np.zeros(len(keys))
         np.maximum.at(weight, first, self._weight(sigma))
         at, known = self._cells.find(keys)
         cells, rows = self._cells, at[known]
-        cells.score[rows] = np.minimum(cells.score[rows] + weight[known], p.max_score)
+        cells.score[rows] = np.minimum(cells.score[rows] + weight[known], self._parameters.max_score)
         fresh = cells.scans[rows] == 0
-        cells.first_stamp[rows[fresh]], cells.first_view[rows[fresh]] = stamp, view
+        for stamps in (cells.first_stamp, cells.since_stamp):
+            stamps[rows[fresh]] = stamp
+        cells.since_view[rows[fresh]] = view
         cells.scans[rows] += 1
         cells.last_stamp[rows] = stamp
-        cells.apart[rows] |= np.hypot(*(cells.first_view[rows] - view).T) >= p.min_view_gap_m
+        moved_m = np.hypot(*(cells.since_view[rows] - view).T)
+        cells.apart[rows] |= moved_m >= self._parameters.min_view_gap_m
         self._cells = cells.joined(_Cells.fresh(keys[~known], weight[~known], stamp, view))
 
     def _find_boxes(self) -> None:
@@ -204,11 +215,10 @@ class NewObstacleMapper:
         passing = self._cells.last_stamp - self._cells.first_stamp < p.passing_s
         cells = self._cells.select(~passing | (self._cells.scans == 0))
         centres = self._centres(cells.keys)
-        sure = (cells.scans >= p.min_scans) & (cells.last_stamp - cells.first_stamp >= p.min_age_s) & cells.apart
+        sure = (cells.scans >= p.min_scans) & (cells.last_stamp - cells.since_stamp >= p.min_age_s) & cells.apart
         boxes: dict[str, Obstacle] = {}
-        for group in sorted(self._clusters(centres), key=len, reverse=True):
+        for group, box in self._joined(cells, centres):
             own = bool(sure[group].sum() >= p.min_cells)
-            box = self._box(centres[group], cells.score[group])
             known = [old for old in self._boxes if old.id not in boxes and _touch(old, box, 0.0)]
             known.sort(key=lambda old: distance(_centre(old), _centre(box)))
             if not own and (not known or len(group) < p.min_cells):
@@ -226,8 +236,66 @@ class NewObstacleMapper:
         found = tuple(sorted(boxes.values(), key=lambda box: order.get(box.id, len(order))))
         self._boxes = self._boxes if found == self._boxes else found
 
+    def _joined(self, cells: _Cells, centres: FloatArray) -> list[tuple[npt.NDArray[np.int64], Obstacle]]:
+        """Rows and box of the cells of each thing, the largest first.
+
+        Of one thing the laser sees pieces: a side now, a side later, and never what stands behind. Clusters close
+        together are pieces of one box unless a beam went through that box since they are there.
+        """
+        p = self._parameters
+        done: list[tuple[npt.NDArray[np.int64], Obstacle]] = []
+        waiting = sorted(self._clusters(centres), key=len)
+        while waiting:
+            group = waiting.pop()
+            box = self._box(centres[group], cells.score[group])
+            for k, (other, its) in enumerate(done):
+                if not _touch(box, its, p.join_gap_m):
+                    continue
+                both = np.concatenate([other, group])
+                union = self._box(centres[both], cells.score[both])
+                since = max(cells.first_stamp[piece].min() for piece in (other, group))
+                if not self._seen_through.crosses(union, p.free_margin_m, since):
+                    del done[k]
+                    waiting.append(both)
+                    break
+            else:
+                done.append((group, box))
+        things = [(group, self._up_to_walls(box, float(cells.first_stamp[group].min()))) for group, box in done]
+        return sorted(things, key=lambda thing: len(thing[0]), reverse=True)
+
+    def _up_to_walls(self, box: Obstacle, since: float) -> Obstacle:
+        """A box with the sides that stand at a wall moved there: its last bit counted as the wall's end points."""
+        p = self._parameters
+        cut_m = p.wall_margin_m + p.margin_sigmas * float(p.laser.sigma(np.array(p.free_range_m)))
+        corners = np.array([[box.x, box.y], [box.x + box.w, box.y + box.b]])
+        for axis, end in itertools.product((0, 1), (0, 1)):
+            out = (2 * end - 1) * np.eye(2)[axis]
+            to_wall = self._to_wall_along(corners, axis, end, out)
+            if not 0.0 < to_wall <= cut_m:
+                continue
+            moved, gap = corners.copy(), corners.copy()
+            moved[end] += to_wall * out
+            gap[end], gap[1 - end, axis] = moved[end], corners[end, axis]
+            if not self._seen_through.crosses(_between(gap), p.free_margin_m, since):
+                corners = moved
+        return _between(corners)
+
+    def _to_wall_along(self, corners: FloatArray, axis: int, end: int, out: FloatArray) -> float:
+        """Distance in m of the wall that runs all along one side of a box, in the direction ``out``; inf without."""
+        shares = np.linspace(0.1, 0.9, 9)[:, None]
+        points = corners[0] + shares * (corners[1] - corners[0])
+        points[:, axis] = corners[end, axis]
+        cells = self._grid.world_to_cell(points)
+        if not self._grid.in_bounds(cells).all():
+            return math.inf
+        faces = self._grid.cell_to_world(cells) + self._to_wall[tuple(cells.T)][:, None] * out
+        behind = self._grid.world_to_cell(faces + self._grid.resolution / 2 * out)
+        if not (self._grid.in_bounds(behind).all() and (self._to_wall[tuple(behind.T)] < 0.0).all()):
+            return math.inf
+        return float(np.median((faces - points) @ out))
+
     def _clusters(self, centres: FloatArray) -> list[npt.NDArray[np.int64]]:
-        """Rows of the cells (K, 2) of each cluster; clusters are further apart than the gap that is bridged."""
+        """Rows of the cells (K, 2) of each cluster; clusters are further apart than ``merge_gap_m``."""
         if not len(centres):
             return []
         coarse = np.floor(centres / self._parameters.merge_gap_m).astype(np.int64)
@@ -248,9 +316,7 @@ class NewObstacleMapper:
             low, high = np.searchsorted(share, [trim * share[-1], (1.0 - trim) * share[-1]])
             # Centres, not edges, of the cells: noise leaves marks on both sides of a face.
             sides.append((float(values[order[low]]), float(values[order[min(high, len(order) - 1)]])))
-        (x1, x2), (y1, y2) = sides
-        # To a tenth of a millimetre, as messages are for people too.
-        return Obstacle("", *(round(value, 4) for value in (x1, y1, x2 - x1, y2 - y1)))
+        return _between(np.array(sides).T)
 
     def _weight(self, sigma: FloatArray) -> FloatArray:
         return np.minimum(1.0, (self._parameters.reference_sigma_m / sigma) ** 2)
@@ -286,6 +352,11 @@ class NewObstacleMapper:
 
 def _centre(box: Obstacle) -> Pose2D:
     return Pose2D(box.x + box.w / 2, box.y + box.b / 2)
+
+
+def _between(corners: FloatArray) -> Obstacle:
+    """A box without a name, from its corners (2, 2); to a tenth of a millimetre, as messages are for people too."""
+    return Obstacle("", *np.round([*corners[0], *(corners[1] - corners[0])], 4).tolist())
 
 
 def _touch(a: Obstacle, b: Obstacle, gap_m: float) -> bool:
