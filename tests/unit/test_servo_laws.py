@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchhike_ros.datatypes import Pose2D
@@ -58,6 +58,7 @@ def moved(target: Target, v: float, omega: float, dt: float, driver: bool = True
 
 
 @pytest.mark.parametrize("task", TASKS)
+@settings(max_examples=40)
 @given(target=seen)
 def test_interaction_matrix_and_drift_against_numerical_ones(task, target):
     h = 1e-6
@@ -72,12 +73,14 @@ def test_interaction_matrix_and_drift_against_numerical_ones(task, target):
 
 
 @pytest.mark.parametrize("task", TASKS)
+@settings(max_examples=40)
 @given(target=seen)
 def test_the_interaction_matrix_never_becomes_singular(task, target):
     assert abs(np.linalg.det(task.jacobian(target))) > 0.05
 
 
 @pytest.mark.parametrize("task", TASKS)
+@settings(max_examples=40)
 @given(target=seen)
 def test_the_error_decays_as_the_gains_say(task, target):
     params = FollowParameters()
