@@ -44,7 +44,8 @@ from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.protocol.traveller import Traveller
 from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
 from hitchhike_ros.servoing.follow import FollowLaw, FollowParameters
-from hitchhike_ros.servoing.marker_detector import MarkerDetector, MarkerDetectorParameters
+from hitchhike_ros.servoing.marker_detector import MarkerDetectorParameters, planar_observation
+from hitchhike_ros.servoing.marker_tracker import MarkerTracker, MarkerTrackerParameters
 from hitchhike_ros.simulation.robot import SimulatedRobot
 from hitchhike_ros.simulation.world import World
 
@@ -80,7 +81,10 @@ class ComposedRobot:
         avoidance = load_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance", config)
         self._avoidance = ObstacleAvoidance(self.limits, avoidance)
         self._mux = VelocityMux(load_parameters(VelocityMuxParameters, "velocity_mux", config), self.limits)
-        self._detector = MarkerDetector(load_parameters(MarkerDetectorParameters, "marker_detector", config))
+        self._tracker = MarkerTracker(
+            load_parameters(MarkerDetectorParameters, "marker_detector", config),
+            load_parameters(MarkerTrackerParameters, "marker_tracker", config),
+        )
         camera = pose_from_matrix(mounts["camera"])
         self._follow = FollowLaw(load_parameters(FollowParameters, "follow", config), self.limits, camera.x)
         params = load_parameters(HitchhikingParameters, "hitchhiking", config)
@@ -143,11 +147,15 @@ class ComposedRobot:
             return
         gray = np.asarray(cv2.cvtColor(self.body.camera(), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         sizes = {servo.marker_id: servo.marker_size_m}
-        found = self._detector.detect(gray, self.body.camera_info, sizes)
-        self._observations = self._detector.observe(found, self._T_base_camera, now)
+        if servo.task != "follow":  # every marker says where the robot is
+            self._tracker.reset()
+        seen = self._tracker.see(
+            gray, self.body.camera_info, self._T_base_camera, now, target=servo.marker_id, sizes_m=sizes
+        )
+        self._observations = [planar_observation(d, self._T_base_camera, now) for d in seen]
         if servo.task == "follow":
-            seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
-            decision = self._follow.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
+            driver = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
+            decision = self._follow.step(now, driver, None, servo.gap_m, servo.feed_forward_mps)
             self._mux.command("servoing", decision.twist, now)
 
     def tick(self, now: float, send: Callable[[str], None], event: object = None) -> None:
