@@ -7,7 +7,6 @@
 #include <array>
 #include <cmath>
 #include <mutex>
-#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -16,10 +15,11 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include "visp_binding.h"
+
 #include <visp3/core/vpColVector.h>
 #include <visp3/core/vpException.h>
 #include <visp3/core/vpHomogeneousMatrix.h>
-#include <visp3/core/vpImage.h>
 #include <visp3/core/vpPoint.h>
 #include <visp3/core/vpRotationMatrix.h>
 #include <visp3/core/vpThetaUVector.h>
@@ -29,11 +29,6 @@
 namespace py = pybind11;
 
 namespace {
-
-// An argument that ViSP could not use; the message says which one and what was expected.
-struct InvalidInput : std::invalid_argument {
-  using std::invalid_argument::invalid_argument;
-};
 
 using Family = vpDetectorAprilTag::vpAprilTagFamily;
 
@@ -54,22 +49,6 @@ Family family_of(const std::string &wanted) {
   throw InvalidInput("tag family is '" + wanted + "', expected one of " + known);
 }
 
-// Smaller images than this hold no tag, and the quad detector's threshold tiles do not fit into them.
-constexpr py::ssize_t min_side_px = 16;
-
-// Refuses what would have to be converted: a silent copy of every frame is what this module is there to avoid.
-void check_image(const py::array &image) {
-  if (!image.dtype().is(py::dtype::of<unsigned char>()))
-    throw InvalidInput("image has dtype " + std::string(py::str(image.dtype())) + ", expected uint8 (grey)");
-  if (image.ndim() != 2)
-    throw InvalidInput("image has " + std::to_string(image.ndim()) + " dimensions, expected 2: (height, width)");
-  if (image.shape(0) < min_side_px || image.shape(1) < min_side_px)
-    throw InvalidInput("image is " + std::to_string(image.shape(1)) + " x " + std::to_string(image.shape(0)) +
-                       " pixels, expected at least " + std::to_string(min_side_px) + " each way");
-  if (!(image.flags() & py::array::c_style))
-    throw InvalidInput("image is not C-contiguous; it is read in place, so hand over a contiguous one");
-}
-
 class TagDetector {
 public:
   TagDetector(const std::string &family, float quad_decimate, int threads, bool refine_edges, double sharpening)
@@ -86,15 +65,12 @@ public:
   // Ids (N,) and corners (N, 4, 2) in pixels (column, row).
   std::pair<py::array_t<int>, py::array_t<double>> detect(const py::array &image) {
     check_image(image);
-    const auto height = static_cast<unsigned int>(image.shape(0)), width = static_cast<unsigned int>(image.shape(1));
-    // ViSP only reads the bitmap; its constructor takes it without const. The caller's reference keeps it alive.
-    auto *pixels = static_cast<unsigned char *>(const_cast<void *>(image.data()));
+    const vpImage<unsigned char> view = view_of(image);
     std::vector<int> ids;
     std::vector<std::vector<vpImagePoint>> corners;
     {
       py::gil_scoped_release unlocked;
       const std::lock_guard<std::mutex> one_at_a_time(mutex_);
-      const vpImage<unsigned char> view(pixels, height, width, false);
       detector_.detect(view);
       ids = detector_.getTagsId();
       corners = detector_.getTagsCorners();
@@ -221,4 +197,6 @@ PYBIND11_MODULE(_visp_tracker, m) {
       .def("detect", &TagDetector::detect, py::arg("image"),
            "Ids (N,) and corners (N, 4, 2) px, lower left first and counter-clockwise on the tag, in a grey image\n"
            "(H, W) uint8, C-contiguous, read in place.");
+  bind_edge_fit(m);
+  bind_model_tracker(m);
 }

@@ -9,6 +9,9 @@ class InvalidInputError(VisionError): ...
 class VispError(VisionError): ...
 
 def square_poses(corners: npt.NDArray[np.float64], size: float) -> list[tuple[npt.NDArray[np.float64], float]]: ...
+def fit_square(
+    image: npt.NDArray[np.uint8], corners: npt.NDArray[np.float64], reach: float, final_reach: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None: ...
 
 class TagDetector:
     def __init__(
@@ -21,3 +24,23 @@ class TagDetector:
         decode_sharpening: float = 0.25,
     ) -> None: ...
     def detect(self, image: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]: ...
+
+class ModelTracker:
+    def __init__(
+        self,
+        *,
+        edges: bool = True,
+        keypoints: bool = True,
+        edge_range_px: int = 8,
+        edge_step_px: float = 3.0,
+        edge_threshold: float = 5000.0,
+        max_keypoints: int = 60,
+    ) -> None: ...
+    def start(
+        self,
+        image: npt.NDArray[np.uint8],
+        intrinsics: tuple[float, float, float, float],
+        T_camera_tag: npt.NDArray[np.float64],
+        size: float,
+    ) -> None: ...
+    def track(self, image: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.float64], float, int, int] | None: ...

@@ -48,6 +48,8 @@ class Robot:
         self.image = None
         self.encoding = "rgb8"
         self.info = self.odometry = True
+        self.camera = CAMERA
+        self.truncated = False
         self.broken_odometry = False
         self._received = {}
         self._lock = threading.Lock()
@@ -88,10 +90,11 @@ class Robot:
             msg = odometry_to_msg(Odometry(now, Pose2D(x, 0.0, 0.0), Twist2D()), "odom", "base_footprint")
             self._publishers["odom"].publish(msg)
         if self.info:
-            self._publishers["camera/camera_info"].publish(camera_info_to_msg(CAMERA, now, "camera_optical"))
+            self._publishers["camera/camera_info"].publish(camera_info_to_msg(self.camera, now, "camera_optical"))
         if self.image is not None:
             msg = image_to_msg(self.image, now, "camera_optical", "rgb8")
             msg.encoding = self.encoding
+            msg.data = msg.data[: len(msg.data) // 2] if self.truncated else msg.data
             self._publishers["camera/image_raw"].publish(msg)
 
     def order(self, servo):
@@ -136,6 +139,7 @@ class VisualServoingTest(unittest.TestCase):
         robot = self.robot
         robot.image, robot.encoding = picture(0, 1.2), "rgb8"
         robot.info = robot.odometry = True
+        robot.camera, robot.truncated = CAMERA, False
         robot.broken_odometry = False
         robot.order(ServoCommand("follow", 0))
 
@@ -234,7 +238,20 @@ class VisualServoingTest(unittest.TestCase):
         self.robot.encoding = "rgb8"
         self.robot.image = picture(0, 1.2)[:240].copy()
         self.assert_stops(time.monotonic() + 0.2, "640 x 480")
-        self.robot.image = picture(0, 1.2)
+        self.robot.image = np.zeros((0, 0, 3), np.uint8)
+        self.assert_stops(time.monotonic() + 0.2, "image of 0 bytes")
+        self.robot.image = np.zeros((3, 3, 3), np.uint8)
+        self.assert_stops(time.monotonic() + 0.2, "(3, 3)")
+        self.robot.image, self.robot.truncated = picture(0, 1.2), True
+        self.assert_stops(time.monotonic() + 0.2, f"image of {640 * 480 * 3 // 2} bytes")
+        self.robot.truncated = False
+        self.drives()
+
+    def test_a_calibration_of_zeros_is_named(self):
+        self.drives()
+        self.robot.camera = CameraInfo(640, 480, np.zeros((3, 3)))
+        self.assert_stops(time.monotonic() + 0.2, "focal lengths")
+        self.robot.camera = CAMERA
         self.drives()
 
     def test_annotates_for_who_looks(self):

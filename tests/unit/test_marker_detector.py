@@ -16,6 +16,7 @@ from hitchhike_ros.datatypes import CameraInfo
 from hitchhike_ros.errors import VisionError
 from hitchhike_ros.geometry import matrix_from_xyz_rpy, pose_from_matrix, wrap_angle
 from hitchhike_ros.servoing.marker_detector import (
+    Code,
     MarkerDetection,
     MarkerDetector,
     MarkerDetectorParameters,
@@ -126,8 +127,8 @@ def exact_detector(sigma_px):
 
 
 def detection_of(detector, corners, marker_id=0):
-    view = SquareView((corners - (319.5, 239.5)) / 554.26, detector.params.corner_sigma_px / 554.26, SIZE)
-    return MarkerDetection(marker_id, corners, view, solve(view), 1.0)
+    view = SquareView.with_sigma((corners - (319.5, 239.5)) / 554.26, detector.params.corner_sigma_px / 554.26, SIZE)
+    return MarkerDetection(Code(marker_id, ""), corners, view, solve(view), 1.0)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,13 @@
 """visual_servoing: finds markers in the camera's image and rides behind one (module VS).
 
-Used alone (``~always_on``) it stands in for visp_auto_tracker: pose of one marker, with a covariance. What is published
-belongs to the image that it was seen in; a marker that is not seen has a status, and no pose.
+The marker that it rides behind, or alone the one marker that it is there for, is carried from image to image by a
+model-based tracker between detections. What is published belongs to the image that it was seen in; a marker that is not
+seen has a status, and no pose.
+
+Alone it stands in for visp_auto_tracker and apriltag_ros, with one marker of any camera that has been calibrated:
+
+    rosrun hitchhike_ros visual_servoing _always_on:=true _family:=36h11 _marker_id:=0 _marker_size_m:=0.16 \
+        camera/image_raw:=/usb_cam/image_raw camera/camera_info:=/usb_cam/camera_info
 
 Subscribed:
     hhike_msg/status (std_msgs/String): whether the module is on, and which marker to follow or observe
@@ -14,18 +20,21 @@ Published, once an image:
     visual_servoing/object_position (geometry_msgs/PoseStamped), object_position_covariance
         (geometry_msgs/PoseWithCovarianceStamped): the marker in the frame of the image; x is its outward normal, z up
     visual_servoing/status (std_msgs/Int8): as visp_auto_tracker: 0 no usable image, 1 seeking the marker, 3 seen
-    visual_servoing/code_message (std_msgs/String): family and id, e.g. ``36h11 id: 0``
+    visual_servoing/code_message (std_msgs/String): family and id, e.g. ``36h11 id: 0``, or what the QR code says
     visual_servoing/image_annotated (sensor_msgs/Image): only when somebody subscribes
 Published while the task is to follow:
     cmd_vel/servoing (geometry_msgs/Twist): after each image, and a stand when images are missing
 Always:
     /diagnostics (diagnostic_msgs/DiagnosticArray): what is followed, or why the robot stands
 Parameters:
-    ~config (path), sections ``marker_detector`` (servoing.marker_detector.MarkerDetectorParameters), ``follow``
-        (servoing.follow.FollowParameters), ``visual_servoing`` (VisualServoingParameters) and, to follow, ``robot``
+    ~config (path), sections ``marker_detector`` (servoing.marker_detector.MarkerDetectorParameters), ``marker_tracker``
+        (servoing.marker_tracker.MarkerTrackerParameters), ``follow`` (servoing.follow.FollowParameters),
+        ``visual_servoing`` (VisualServoingParameters) and, to follow, ``robot``. A private parameter with the name of
+        one of theirs replaces it, e.g. ~family (36h11; 25h9, 16h5, circle21h7 or qr)
     ~urdf (path): mount of the camera (link camera_optical); without it the camera is taken for the robot's base
     ~always_on (bool, false): on without anyone's status; then also
-    ~marker_id (int, -1): the marker, -1 for whichever is nearest; ~marker_size_m (m, 0.16); ~task (observe, or follow);
+    ~marker_id (int, -1): the marker, -1 for whichever is nearest; ~code_message (string): instead, what its QR code
+        says; ~marker_size_m (m, 0.16): side of the black square, or of the code; ~task (observe, or follow);
         ~gap_m (m, 0.8)
     ~tf_prefix: prefix of the camera's frame when the images name none
 TF: none.
@@ -69,13 +78,15 @@ from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.guard import Guard
 from hitchhike_ros.servoing.marker_detector import (
     MarkerDetection,
-    MarkerDetector,
     MarkerDetectorParameters,
+    nearest,
     planar_observation,
 )
+from hitchhike_ros.servoing.marker_tracker import MarkerTracker, MarkerTrackerParameters
+from hitchhike_ros.servoing.qr_codes import code_id
 
 ANY_MARKER = -1
-# States of visp_auto_tracker; 2, 4 and 5 belong to a model-based tracker.
+# States of visp_auto_tracker. Its 2, 4 and 5 are steps of one image's work here.
 NO_IMAGE, SEEKING, SEEN = 0, 1, 3
 # What following says of itself; the rest are errors.
 _LEVELS = {"following": OK, "searching": WARN, "coasting": WARN, "looking": WARN, "turning": WARN}
@@ -103,8 +114,7 @@ class VisualServoing:
     def __init__(self) -> None:
         self._params = node_parameters(VisualServoingParameters, "visual_servoing")
         detector_params = node_parameters(MarkerDetectorParameters, "marker_detector")
-        self._family = detector_params.family
-        self._detector = MarkerDetector(detector_params)
+        self._tracker = MarkerTracker(detector_params, node_parameters(MarkerTrackerParameters, "marker_tracker"))
         self._T_base_camera: FloatArray = (
             mount(path_parameter("urdf"), "camera_optical") if rospy.has_param("~urdf") else T_FORWARD_OPTICAL
         )
@@ -143,7 +153,8 @@ class VisualServoing:
                 *([] if self._guard is None else [("scan", LaserScanMsg, self._on_scan)]),
             ]
         )
-        if rospy.get_param("~always_on", False):
+        self._alone = bool(rospy.get_param("~always_on", False))
+        if self._alone:
             self._turn(self._own_command())
         else:
             self._turn(None)
@@ -164,6 +175,8 @@ class VisualServoing:
             for name in ("task", "marker_id", "marker_size_m", "gap_m")
             if rospy.has_param(f"~{name}")
         }
+        if rospy.has_param("~code_message"):
+            given["marker_id"] = code_id(str(rospy.get_param("~code_message")))
         servo = convert({"task": "observe", "marker_id": ANY_MARKER, **given}, ServoCommand, rospy.get_name())
         if servo.task not in ("observe", "follow"):
             raise ParameterError(rospy.get_name(), "~task", servo.task, "observe or follow")
@@ -181,6 +194,7 @@ class VisualServoing:
             before, self._servo = self._servo, servo
             followed = (before.task, before.marker_id) if before is not None else None
             if servo is None or (servo.task, servo.marker_id) != followed:
+                self._tracker.reset()
                 if self._law is not None:
                     self._law.reset()
                 if before is not None and before.task == "follow":
@@ -260,12 +274,14 @@ class VisualServoing:
             pixels = cv2.cvtColor(pixels, to_gray)
         sizes = {servo.marker_id: servo.marker_size_m} if servo.marker_id != ANY_MARKER else {}
         gray = np.ascontiguousarray(pixels)  # copies only where rows are padded
-        return self._detector.resolve(self._detector.detect(gray, self._info, sizes), self._T_base_camera, stamp)
+        if servo.task != "follow" and not self._alone:  # every marker says where the robot is
+            self._tracker.reset()
+        target = None if servo.marker_id == ANY_MARKER else servo.marker_id
+        return self._tracker.see(gray, self._info, self._T_base_camera, stamp, target=target, sizes_m=sizes)
 
     @staticmethod
     def _target(detections: list[MarkerDetection], servo: ServoCommand) -> MarkerDetection | None:
-        wanted = [d for d in detections if servo.marker_id in (d.id, ANY_MARKER)]
-        return min(wanted, key=lambda d: float(np.linalg.norm(d.T_camera_marker[:3, 3])), default=None)
+        return nearest(d for d in detections if servo.marker_id in (d.id, ANY_MARKER))
 
     # The one place that steps the law.
 
@@ -315,13 +331,13 @@ class VisualServoing:
         self._observations.publish(String(encode_observations(stamp, observations)))
         self._states.publish(Int8(NO_IMAGE if unusable else SEEN if target is not None else SEEKING))
         if target is not None:
-            self._codes.publish(String(f"{self._family} id: {target.id}"))
+            self._codes.publish(String(target.code.message))
             msg = PoseWithCovarianceStamped(header=image.header)
             msg.header.frame_id = image.header.frame_id or self._camera_frame
             T = target.T_camera_marker
             msg.pose.pose.position.x, msg.pose.pose.position.y, msg.pose.pose.position.z = T[:3, 3].tolist()
             msg.pose.pose.orientation = quaternion_from_rotation(T[:3, :3])
-            msg.pose.covariance = target.solutions[0].covariance.ravel().tolist()
+            msg.pose.covariance = target.covariance.ravel().tolist()
             self._poses.publish(PoseStamped(msg.header, msg.pose.pose))
             self._poses_covariance.publish(msg)
         if self._annotated.get_num_connections():
@@ -341,7 +357,8 @@ class VisualServoing:
             cv2.polylines(picture, [np.rint(target.corners).astype(np.int32)], True, (0, 255, 0), 2, cv2.LINE_AA)
             x, y, z = target.T_camera_marker[:3, 3]
             range_m, bearing_deg = np.linalg.norm((x, y, z)), np.degrees(np.arctan2(-x, z))
-            text = f"{self._family} id {target.id}: {range_m:.2f} m, bearing {bearing_deg:.0f} deg"
+            how = "carried" if self._tracker.tracking else "detected"
+            text = f"{target.code.message} {how}: {range_m:.2f} m, bearing {bearing_deg:.0f} deg"
         cv2.putText(picture, text, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 255, 0), 2, cv2.LINE_AA)
         encoding = "rgb8" if pixels.ndim == 2 else image.encoding
         self._annotated.publish(image_to_msg(picture, stamp, image.header.frame_id, encoding))

@@ -1,4 +1,7 @@
-"""Markers in a camera image: AprilTags found by ViSP, as poses with covariances.
+"""Markers in a camera image: AprilTags found by ViSP and QR codes by OpenCV, as poses with covariances.
+
+A detector finds the corners to a tenth of a pixel; lines fitted to the marker's sides know them two times better, and
+from their scatter how well.
 
 Frames: the marker's x axis is its outward normal, z points up on the plate (so y points to the right of who looks at
 it). The camera's is the optical frame (z forward, x right, y down), pixels are counted from the centre of the top
@@ -21,12 +24,28 @@ from hitchhike_ros import _visp_tracker
 from hitchhike_ros.datatypes import CameraInfo, FloatArray, MarkerObservation, Positive, UnitInterval
 from hitchhike_ros.errors import VisionError
 from hitchhike_ros.geometry import pose_from_matrix, wrap_angle
-from hitchhike_ros.servoing.square_pose import PoseSolution, SquareView, corner_jacobian, square_on_poses
+from hitchhike_ros.servoing import qr_codes
+from hitchhike_ros.servoing.lens import GrayImage, Lens
+from hitchhike_ros.servoing.square_pose import PoseSolution, SquareView, least_squares, square_on_poses
 
+# ViSP's own, for who compares.
+TagDetector = _visp_tracker.TagDetector
 # AprilTag puts the centre of the top left pixel at (0.5, 0.5); measured on rendered tags to within 0.03 px.
 PIXEL_CENTRE = 0.5
 # ViSP's tag frame is x right, y up, z towards the viewer.
 T_TAG_MARKER = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+# Cells along a side of those families whose sides are straight edges from black (inside) to white.
+_CELLS = {"36h11": 8, "25h9": 7, "16h5": 6}
+# Where there are no cells to tell apart, a marker's likeness to itself is sampled on as many places (chosen).
+_PLACES = 21
+# The sides' lines are sought within this of where they are expected, px (chosen); and with what lies within this share
+# of a cell, and these px, they are measured.
+_SEEK_PX, _MEASURE_CELLS, _MEASURE_PX = 3.0, 0.35, (0.75, 2.0)
+# What the scatter does not tell of a corner's error in px: rounding, and the pattern inside, whose blur reaches the
+# side where cells are small (px⁴). Measured on rendered tags.
+_FLOOR_PX, _BLURRED_PX = 0.0095, 1.4
+# A plate that is not upright at all, -2 log likelihood: one in some hundred is mounted otherwise (chosen).
+_NOT_UPRIGHT = 12.0
 
 
 @dataclass(frozen=True)
@@ -34,15 +53,16 @@ class MarkerDetectorParameters:
     """Section ``marker_detector``."""
 
     family: str = "36h11"
+    """One of 36h11, 25h9, 16h5, circle21h7; or qr."""
     marker_size_m: Positive = 0.16
-    """Outer edge of the black square of markers whose size nobody tells."""
+    """Outer edge of the black square (QR: of the code) of markers whose size nobody tells."""
     quad_decimate: Annotated[float, msgspec.Meta(ge=1)] = 2.0
     """Quads are sought in an image this much smaller; corners are refined in the full one."""
     threads: Annotated[int, msgspec.Meta(ge=1)] = 1
     refine_edges: bool = True
     decode_sharpening: UnitInterval = 0.25
     corner_sigma_px: Positive = 0.5
-    """Noise of a corner's coordinate: 0.4 on rendered images, whose edges keep to whole pixels (chosen)."""
+    """Noise of a corner's coordinate where no lines can be fitted to the sides: QR codes, circle21h7 (chosen)."""
     upright_sigma_rad: Positive = 0.05
     """How well plates are mounted upright: decides between the two poses of a square, and says of one that is seen
     square-on that what makes it narrow is its yaw (chosen)."""
@@ -50,6 +70,14 @@ class MarkerDetectorParameters:
     """How much a marker's yaw changes from one image to the next; decides likewise (chosen)."""
     memory_s: Positive = 0.5
     """How long the previous yaw counts (chosen)."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """What a marker says: its number, and the message as visp_auto_tracker words it."""
+
+    id: int
+    message: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +89,33 @@ class MarkerDetection:
     probability of the first.
     """
 
-    id: int
+    code: Code
     corners: FloatArray
     view: SquareView
     solutions: tuple[PoseSolution, ...]
     weight: float
 
     @property
+    def id(self) -> int:
+        """The marker's number."""
+        return self.code.id
+
+    @property
     def T_camera_marker(self) -> FloatArray:
         """The likeliest pose, (4, 4)."""
         return self.solutions[0].T_camera_marker
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of that pose, (6, 6) as in :class:`PoseSolution`; as far as the other one may be true, with the distance."""
+        first, *others = self.solutions
+        covariance = self.weight * first.covariance
+        for other in others:
+            R = other.T_camera_marker[:3, :3] @ first.T_camera_marker[:3, :3].T
+            shift = other.T_camera_marker[:3, 3] - first.T_camera_marker[:3, 3]
+            apart = np.concatenate([shift, cv2.Rodrigues(R)[0].ravel()])
+            covariance = covariance + (1.0 - self.weight) * (other.covariance + np.outer(apart, apart))
+        return covariance
 
 
 class MarkerDetector:
@@ -82,28 +127,43 @@ class MarkerDetector:
 
     def __init__(self, params: MarkerDetectorParameters | None = None) -> None:
         self.params = params or MarkerDetectorParameters()
-        self._detector = _visp_tracker.TagDetector(
-            self.params.family,
-            quad_decimate=self.params.quad_decimate,
-            threads=self.params.threads,
-            refine_edges=self.params.refine_edges,
-            decode_sharpening=self.params.decode_sharpening,
+        p = self.params
+        self._qr = qr_codes.QrDetector() if p.family == qr_codes.FAMILY else None
+        # The second one, for a thorough search, looks at every pixel.
+        self._tags = tuple(
+            TagDetector(
+                p.family,
+                quad_decimate=decimate,
+                threads=p.threads,
+                refine_edges=p.refine_edges,
+                decode_sharpening=p.decode_sharpening,
+            )
+            for decimate in ((p.quad_decimate, 1.0) if self._qr is None else ())
         )
+        self.cells = _CELLS.get(p.family, _PLACES)
+        self._lens: Lens | None = None
         self._previous: dict[int, tuple[float, float]] = {}
 
     def detect(
-        self, gray: npt.NDArray[np.uint8], camera_info: CameraInfo, sizes_m: Mapping[int, float] | None = None
+        self,
+        gray: GrayImage,
+        camera_info: CameraInfo,
+        sizes_m: Mapping[int, float] | None = None,
+        *,
+        thorough: bool = False,
     ) -> list[MarkerDetection]:
         """The markers in one grey image.
 
         Args:
             gray: (H, W) uint8, C-contiguous; it is read in place.
-            camera_info: calibration of that image. Lens distortion is taken out of the corners, by OpenCV: ViSP's own
-                camera model has one radial coefficient, plumb_bob five.
-            sizes_m: side of the black square by marker id, where it is not ``marker_size_m``.
+            camera_info: calibration of that image. Lens distortion is taken out of the corners and of the pictures
+                around them, by OpenCV: ViSP's own camera model has one radial coefficient, plumb_bob five.
+            sizes_m: sides of markers that are not of the usual size, by id.
+            thorough: seek small and slanted tags too, which takes four times as long.
 
         Raises:
-            VisionError: image, calibration or a marker's size cannot be used; it says which, and why.
+            VisionError: the image is no grey picture of the calibrated size, the calibration is senseless or a size
+                is not positive.
         """
         if not isinstance(gray, np.ndarray):
             raise VisionError(f"image is a {type(gray).__name__}, expected a NumPy array (H, W) of uint8")
@@ -112,15 +172,68 @@ class MarkerDetector:
         for marker_id, size in sizes.items():
             if not (math.isfinite(size) and size > 0):
                 raise VisionError(f"size of marker {marker_id} is {size} m, expected more than 0")
-        ids, all_corners = self._detector.detect(gray)
+        lens = self.lens(camera_info)
         detections = []
-        for marker_id, corners in zip(ids.tolist(), all_corners - PIXEL_CENTRE, strict=True):
-            view = self._view(corners, camera_info, sizes.get(marker_id, self.params.marker_size_m))
-            solutions = solve(view)
-            if solutions:
-                detection = MarkerDetection(marker_id, corners, view, solutions, 1.0)
-                detections.append(_weighted(detection, [s.chi2 for s in solutions]))
+        for code, corners in self._find(gray, thorough):
+            straight = lens.points(corners)
+            image = lens.straight(gray, straight)
+            size = sizes.get(code.id, self.params.marker_size_m)
+            detection = self.measure(code, image, lens, straight, size) or self._as_found(code, lens, straight, size)
+            if detection is not None:
+                detections.append(detection)
         return detections
+
+    def lens(self, camera_info: CameraInfo) -> Lens:
+        """The lens of a checked calibration."""
+        if self._lens is None or not self._lens.is_of(camera_info):
+            self._lens = Lens(camera_info)
+        return self._lens
+
+    def measure(
+        self, code: Code, image: GrayImage, lens: Lens, corners: FloatArray, size_m: float
+    ) -> MarkerDetection | None:
+        """The marker whose corners (4, 2) are expected in the straight picture, by lines fitted to its sides.
+
+        Families without straight sides keep the corners as expected. None where a side is not to be seen.
+        """
+        if self.params.family not in _CELLS:
+            return self._as_found(code, lens, corners, size_m)
+        cell_px = _narrowest(corners) / self.cells
+        measure_px = min(max(_MEASURE_CELLS * cell_px, _MEASURE_PX[0]), _MEASURE_PX[1])
+        fitted = _visp_tracker.fit_square(image, corners, min(_SEEK_PX, 0.5 + 0.6 * cell_px), measure_px)
+        if fitted is None or np.abs(fitted[0] - corners).max() > _SEEK_PX:
+            return None
+        found, covariance = fitted
+        floor = _FLOOR_PX + _BLURRED_PX / cell_px**3
+        return self._solved(code, lens, found, covariance + floor**2 * np.eye(8), size_m)
+
+    def _find(self, gray: GrayImage, thorough: bool) -> list[tuple[Code, FloatArray]]:
+        """Codes, and their corners (4, 2) px."""
+        if self._qr is not None:
+            return [(Code(qr_codes.code_id(message), message), corners) for message, corners in self._qr.detect(gray)]
+        ids, all_corners = self._tags[int(thorough)].detect(gray)
+        family = self.params.family
+        return [
+            (Code(marker_id, f"{family} id: {marker_id}"), corners)
+            for marker_id, corners in zip(ids.tolist(), all_corners - PIXEL_CENTRE, strict=True)
+        ]
+
+    def _as_found(self, code: Code, lens: Lens, corners: FloatArray, size_m: float) -> MarkerDetection | None:
+        return self._solved(code, lens, corners, self.params.corner_sigma_px**2 * np.eye(8), size_m)
+
+    def _solved(
+        self, code: Code, lens: Lens, corners: FloatArray, covariance: FloatArray, size_m: float
+    ) -> MarkerDetection | None:
+        """From corners (4, 2) in the straight picture, px, and their covariance (8, 8)."""
+        focal = np.array([lens.K[0, 0], lens.K[1, 1]])
+        scale = np.tile(1.0 / focal, 4)
+        points = (corners - lens.K[:2, 2]) / focal
+        view = SquareView.with_covariance(points, covariance * np.outer(scale, scale), size_m)
+        solutions = solve(view)
+        if not solutions:
+            return None
+        detection = MarkerDetection(code, lens.lensed(corners), view, solutions, 1.0)
+        return _weighted(detection, [s.chi2 for s in solutions])
 
     def resolve(
         self, detections: Iterable[MarkerDetection], T_base_camera: FloatArray, stamp: float
@@ -159,13 +272,9 @@ class MarkerDetector:
             # Upright is also who hangs upside down.
             tilt = math.acos(min(1.0, abs(float(T_base_marker[2, 2]))))
             step = wrap_angle(pose_from_matrix(T_base_marker).theta - yaw_before) if yaw_before is not None else 0.0
-            costs.append(solution.chi2 + (tilt / p.upright_sigma_rad) ** 2 + (step / p.yaw_step_sigma_rad) ** 2)
+            upright = min((tilt / p.upright_sigma_rad) ** 2, _NOT_UPRIGHT)
+            costs.append(solution.chi2 + upright + (step / p.yaw_step_sigma_rad) ** 2)
         return _weighted(detection, costs)
-
-    def _view(self, corners: FloatArray, camera_info: CameraInfo, size_m: float) -> SquareView:
-        K = camera_info.K
-        points = np.asarray(cv2.undistortPoints(corners[:, None, :], K, camera_info.D)[:, 0, :], dtype=float)
-        return SquareView(points, self.params.corner_sigma_px / math.sqrt(K[0, 0] * K[1, 1]), size_m)
 
 
 def planar_jacobian(T_base_camera: FloatArray, T_camera_marker: FloatArray) -> FloatArray:
@@ -202,14 +311,22 @@ def planar_observation(detection: MarkerDetection, T_base_camera: FloatArray, st
 
 def solve(view: SquareView) -> tuple[PoseSolution, ...]:
     """The least-squares poses, the better one first."""
-    solutions = []
-    for T_camera_tag, residual in _visp_tracker.square_poses(view.points, view.size_m):
-        T = T_camera_tag @ T_TAG_MARKER
-        J = corner_jacobian(T, view.size_m)
-        information = J.T @ J / view.sigma**2
-        if np.linalg.cond(information) < 1e12:
-            solutions.append(PoseSolution(T, np.linalg.inv(information), 4 * (residual / view.sigma) ** 2))
-    return tuple(solutions)
+    starts = (T_camera_tag @ T_TAG_MARKER for T_camera_tag, _ in _visp_tracker.square_poses(view.points, view.size_m))
+    solutions = [found for start in starts if (found := least_squares(view, start)) is not None]
+    return tuple(sorted(solutions, key=lambda solution: solution.chi2))
+
+
+def nearest(detections: Iterable[MarkerDetection]) -> MarkerDetection | None:
+    """The one that is nearest to the camera."""
+    return min(detections, key=lambda d: float(np.linalg.norm(d.T_camera_marker[:3, 3])), default=None)
+
+
+def _narrowest(corners: FloatArray) -> float:
+    """The shorter of a quadrilateral's two heights between opposite sides (middles), px."""
+    middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
+    area = abs(float(np.cross(corners[2] - corners[0], corners[3] - corners[1]))) / 2.0
+    lengths = np.linalg.norm(middles[:2] - middles[2:], axis=1)
+    return area / max(float(lengths.max()), 1.0)
 
 
 def _weighted(detection: MarkerDetection, costs: list[float]) -> MarkerDetection:

@@ -50,7 +50,8 @@ from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
 from hitchhike_ros.servoing.follow import FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.guard import Guard
-from hitchhike_ros.servoing.marker_detector import MarkerDetector, MarkerDetectorParameters
+from hitchhike_ros.servoing.marker_detector import MarkerDetectorParameters, planar_observation
+from hitchhike_ros.servoing.marker_tracker import MarkerTracker, MarkerTrackerParameters
 from hitchhike_ros.simulation.faults import Fault, FaultKind
 from hitchhike_ros.simulation.robot import SimulatedRobot
 from hitchhike_ros.simulation.world import World
@@ -105,7 +106,9 @@ class ComposedRobot:
         self._wall_params = load(WallAlignmentParameters, "wall_alignment")
         self._turns_for = ""
         self._mux = VelocityMux(load(VelocityMuxParameters, "velocity_mux"), self.limits)
-        self._detector = MarkerDetector(load(MarkerDetectorParameters, "marker_detector"))
+        self._tracker = MarkerTracker(
+            load(MarkerDetectorParameters, "marker_detector"), load(MarkerTrackerParameters, "marker_tracker")
+        )
         camera = pose_from_matrix(mounts["camera"])
         self._follow = FollowLaw(load(FollowParameters, "follow"), self.limits, camera.x)
         self._guard = Guard(self.limits, self._T_base_laser)
@@ -181,8 +184,12 @@ class ComposedRobot:
         if servo is None:
             return
         sizes = {servo.marker_id: servo.marker_size_m}
-        found = self._detector.detect(self._gray(covered), self.body.camera_info, sizes)
-        self._observations = self._detector.observe(found, self._T_base_camera, now)
+        if servo.task != "follow":  # every marker says where the robot is
+            self._tracker.reset()
+        found = self._tracker.see(
+            self._gray(covered), self.body.camera_info, self._T_base_camera, now, target=servo.marker_id, sizes_m=sizes
+        )
+        self._observations = [planar_observation(d, self._T_base_camera, now) for d in found]
         if servo.task == "follow":
             seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
             decision = self._follow.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
@@ -207,6 +214,7 @@ class ComposedRobot:
         followed = None if before is None else (before.task, before.marker_id)
         if servo is None or (servo.task, servo.marker_id) != followed:
             self._follow.reset()
+            self._tracker.reset()
             if before is not None and before.task == "follow":
                 self._mux.command("servoing", Twist2D(), now)
         return servo

@@ -1,0 +1,207 @@
+// Corners of a dark square from lines fitted to its sides: finer than a pixel, with the covariance that the scatter of
+// the edge points about their lines tells.
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "visp_binding.h"
+
+#include <pybind11/stl.h>
+
+namespace py = pybind11;
+
+namespace {
+
+using Point = std::array<double, 2>;
+using Image = py::detail::unchecked_reference<unsigned char, 2>;
+
+// Of a side, left out at each end, where the neighbouring side bends the edge.
+constexpr double margin = 0.1;
+constexpr int min_sites = 6, max_sites = 48;
+// Sum of the gradient across an edge, in grey levels, that tells it from noise (chosen).
+constexpr double min_contrast = 12;
+// Sites farther than this from their line, in standard deviations, are of something else (chosen).
+constexpr double outlier = 2.5;
+// Sites nearer than this to each other in px have errors in common (measured on rendered tags).
+constexpr double correlation_px = 2.0;
+// A side whose change from black to white is hardly wider than interpolation makes it, as a variance in px², was drawn
+// without mixed pixels: either end of it is known to a pixel only. Cameras mix (0.35 and more of tags drawn as a camera
+// sees them), renderers need not (0.17 at most).
+constexpr double sharp = 0.18, soft = 0.30, pixel_variance = 1.0 / 12;
+
+bool inside(const Image &image, double u, double v) {
+  return u >= 0 && v >= 0 && u < static_cast<double>(image.shape(1) - 1) && v < static_cast<double>(image.shape(0) - 1);
+}
+
+double at(const Image &image, double u, double v) {
+  const auto c = static_cast<py::ssize_t>(u), r = static_cast<py::ssize_t>(v);
+  const double fu = u - static_cast<double>(c), fv = v - static_cast<double>(r);
+  return (1 - fv) * ((1 - fu) * image(r, c) + fu * image(r, c + 1)) +
+         fv * ((1 - fu) * image(r + 1, c) + fu * image(r + 1, c + 1));
+}
+
+// A side: from its origin along a direction, and its offset a + b s to the outside at s px, with their covariance.
+struct Side {
+  Point origin, along;
+  double length, a = 0, b = 0;
+  double var_a = 0, cov_ab = 0, var_b = 0;
+
+  Side(const Point &from, const Point &to) : origin(from) {
+    along = {to[0] - from[0], to[1] - from[1]};
+    length = std::hypot(along[0], along[1]);
+    along = {along[0] / length, along[1] / length};
+  }
+  Point outside() const { return {-along[1], along[0]}; }
+  Point at(double s, double t) const {
+    const Point n = outside();
+    return {origin[0] + s * along[0] + t * n[0], origin[1] + s * along[1] + t * n[1]};
+  }
+};
+
+// Moves the side to the edge within reach of it; false where there is none.
+bool fit(const Image &image, Side &side, double reach) {
+  const double span = (1 - 2 * margin) * side.length;
+  const int n = std::clamp(static_cast<int>(span), min_sites, max_sites);
+  constexpr double step = 0.5;
+  const int half = std::max(2, static_cast<int>(std::lround(reach / step)));
+  double width = 0;
+  std::vector<double> s, t, profile(static_cast<std::size_t>(2 * half + 3));
+  for (int k = 0; k < n; ++k) {
+    const double along = margin * side.length + span * (k + 0.5) / n, middle = side.a + side.b * along;
+    const Point first = side.at(along, middle - (half + 1) * step), last = side.at(along, middle + (half + 1) * step);
+    if (!inside(image, first[0], first[1]) || !inside(image, last[0], last[1])) continue;
+    for (int i = 0; i < 2 * half + 3; ++i) {
+      const Point p = side.at(along, middle + (i - half - 1) * step);
+      profile[static_cast<std::size_t>(i)] = at(image, p[0], p[1]);
+    }
+    double sum = 0, moment = 0, second = 0;
+    for (int i = 0; i <= 2 * half; ++i) {
+      // White lies outside: a slope the other way is another edge.
+      const double slope = profile[static_cast<std::size_t>(i + 2)] - profile[static_cast<std::size_t>(i)];
+      const double weight = std::max(0.0, slope);
+      sum += weight;
+      moment += weight * (i - half) * step;
+      second += weight * (i - half) * step * (i - half) * step;
+    }
+    if (sum * step < min_contrast) continue;
+    s.push_back(along);
+    t.push_back(middle + moment / sum);
+    width += second / sum - moment * moment / (sum * sum);
+  }
+  std::vector<char> good(s.size(), 1);
+  double variance = 0;
+  for (int pass = 0; pass < 3; ++pass) {
+    double m = 0, ms = 0, mt = 0, ss = 0, st = 0;
+    for (std::size_t i = 0; i < s.size(); ++i)
+      if (good[i]) m += 1, ms += s[i], mt += t[i];
+    if (m < std::max<double>(min_sites - 1, 0.5 * n)) return false;
+    ms /= m, mt /= m;
+    for (std::size_t i = 0; i < s.size(); ++i)
+      if (good[i]) ss += (s[i] - ms) * (s[i] - ms), st += (s[i] - ms) * (t[i] - mt);
+    side.b = st / ss;
+    side.a = mt - side.b * ms;
+    double rr = 0;
+    for (std::size_t i = 0; i < s.size(); ++i)
+      if (good[i]) rr += std::pow(t[i] - side.a - side.b * s[i], 2);
+    variance = rr / (m - 2);
+    // Neighbouring sites share pixels.
+    const double shared = variance * std::max(1.0, correlation_px * n / span);
+    side.var_b = shared / ss;
+    side.cov_ab = -ms * side.var_b;
+    side.var_a = shared / m + ms * ms * side.var_b;
+    const double unmixed =
+        pixel_variance * std::clamp((soft - width / static_cast<double>(s.size())) / (soft - sharp), 0.0, 1.0);
+    side.var_a += unmixed;
+    side.cov_ab -= unmixed / side.length;
+    side.var_b += 2 * unmixed / (side.length * side.length);
+    if (pass == 2) break;
+    const double limit = std::max(outlier * std::sqrt(variance), 0.05);
+    for (std::size_t i = 0; i < s.size(); ++i) good[i] = std::fabs(t[i] - side.a - side.b * s[i]) <= limit;
+  }
+  return true;
+}
+
+std::optional<std::pair<py::array_t<double>, py::array_t<double>>> fit_square(
+    const py::array &image, const py::array_t<double, py::array::c_style | py::array::forcecast> &corners, double reach,
+    double final_reach) {
+  check_image(image);
+  if (corners.ndim() != 2 || corners.shape(0) != 4 || corners.shape(1) != 2)
+    throw InvalidInput("corners have shape " + std::string(py::str(py::object(corners.attr("shape")))) +
+                       ", expected (4, 2)");
+  if (!(reach > 0 && final_reach > 0)) throw InvalidInput("reach is not more than 0");
+  std::array<Point, 4> start{};
+  for (py::ssize_t i = 0; i < 4; ++i)
+    for (py::ssize_t j = 0; j < 2; ++j) {
+      start[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)] = corners.at(i, j);
+      if (!std::isfinite(corners.at(i, j))) throw InvalidInput("corners hold a number that is not finite");
+    }
+  const Image pixels = py::array_t<unsigned char>::ensure(image).unchecked<2>();
+  std::vector<Side> sides;
+  {
+    py::gil_scoped_release unlocked;
+    for (std::size_t i = 0; i < 4; ++i) {
+      sides.emplace_back(start[i], start[(i + 1) % 4]);
+      Side &side = sides.back();
+      if (!(side.length >= min_sites)) return std::nullopt;
+      if (!fit(pixels, side, reach)) return std::nullopt;
+      for (int again = 0; again < 3; ++again)
+        if (!fit(pixels, side, final_reach)) return std::nullopt;
+    }
+  }
+  // Corner i is where side i - 1 ends and side i begins; its covariance follows from the offsets of both there.
+  py::array_t<double> found({4, 2}), covariance({8, 8});
+  auto uv = found.mutable_unchecked<2>();
+  auto C = covariance.mutable_unchecked<2>();
+  std::array<std::array<double, 8>, 8> J{};  // d(corners) / d(a, b of each side)
+  for (std::size_t i = 0; i < 4; ++i) {
+    const std::size_t p = (i + 3) % 4;
+    const std::array<const Side *, 2> two = {&sides[p], &sides[i]};
+    std::array<Point, 2> normal{};
+    std::array<double, 2> distance{};
+    for (std::size_t k = 0; k < 2; ++k) {
+      const Side &side = *two[k];
+      const Point n = side.outside();
+      normal[k] = {n[0] - side.b * side.along[0], n[1] - side.b * side.along[1]};
+      distance[k] = side.a + normal[k][0] * side.origin[0] + normal[k][1] * side.origin[1];
+    }
+    const double det = normal[0][0] * normal[1][1] - normal[0][1] * normal[1][0];
+    if (std::fabs(det) < 0.05) return std::nullopt;
+    const double u = (distance[0] * normal[1][1] - distance[1] * normal[0][1]) / det;
+    const double v = (normal[0][0] * distance[1] - normal[1][0] * distance[0]) / det;
+    const auto row = static_cast<py::ssize_t>(i);
+    uv(row, 0) = u;
+    uv(row, 1) = v;
+    for (std::size_t k = 0; k < 2; ++k) {
+      const Side &side = *two[k];
+      const double s = (u - side.origin[0]) * side.along[0] + (v - side.origin[1]) * side.along[1];
+      const double du = (k == 0 ? normal[1][1] : -normal[0][1]) / det, dv = (k == 0 ? -normal[1][0] : normal[0][0]) / det;
+      const std::size_t column = 2 * (k == 0 ? p : i);
+      J[2 * i][column] = du, J[2 * i + 1][column] = dv;
+      J[2 * i][column + 1] = du * s, J[2 * i + 1][column + 1] = dv * s;
+    }
+  }
+  for (std::size_t r = 0; r < 8; ++r)
+    for (std::size_t c = 0; c < 8; ++c) {
+      double sum = 0;
+      for (std::size_t k = 0; k < 4; ++k) {
+        const Side &side = sides[k];
+        sum += J[r][2 * k] * (side.var_a * J[c][2 * k] + side.cov_ab * J[c][2 * k + 1]) +
+               J[r][2 * k + 1] * (side.cov_ab * J[c][2 * k] + side.var_b * J[c][2 * k + 1]);
+      }
+      C(static_cast<py::ssize_t>(r), static_cast<py::ssize_t>(c)) = sum;
+    }
+  return std::make_pair(std::move(found), std::move(covariance));
+}
+
+}  // namespace
+
+void bind_edge_fit(py::module_ &m) {
+  m.def("fit_square", &fit_square, py::arg("image"), py::arg("corners"), py::arg("reach"), py::arg("final_reach"),
+        "Corners (4, 2) px, and their covariance (8, 8) px², of a dark square on a bright ground whose corners (4, 2) are\n"
+        "known to within `reach` px; None where one of its sides is not to be seen. The image is grey, without distortion;\n"
+        "pixel centres have integer coordinates.");
+}
