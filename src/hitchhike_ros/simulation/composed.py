@@ -17,8 +17,8 @@ from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, Obstacle
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate
 from hitchhike_ros.geometry import pose_from_matrix
-from hitchhike_ros.localization.localizer import LocalizerParameters
-from hitchhike_ros.localization.methods import Localizer, Method, make_localizer
+from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
+from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
