@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +14,7 @@ from hitchhike_ros.errors import GoalBlockedError, OutsideMapError, PlanningErro
 from hitchhike_ros.geometry import compose, path_length
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.map_file import load_map
-from hitchhike_ros.parameters import load_parameters, read_yaml
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.planning.overlap import common_stretch
 from hitchhike_ros.robot_model import RobotLimits
 
 LIMITS = RobotLimits(0.3, 0.1, 0.2, 0.2, 0.2, 1.0, 2.0)  # inscribed radius 0.2 m
@@ -182,32 +179,6 @@ def test_a_relaxed_goal_is_the_nearest_place_to_stand_within_tolerance(x, y, tol
         assert math.hypot(found.x - x, found.y - y) == pytest.approx(away)
         assert found.theta == goal.theta
         assert len(its.plan(grid, Pose2D(1.0, 0.5), found)) > 1
-
-
-@pytest.mark.parametrize("boxes_known", [False, True])
-def test_the_ride_of_the_papers_first_experiment_is_as_long_as_the_papers(boxes_known):
-    """P17 §7.1: 20.4 m; a detour around known boxes may make it a little longer."""
-    package = Path(__file__).resolve().parents[2]
-    world = read_yaml(package / "maps" / "p17_exp1.world.yaml")
-    grid = load_map(package / "maps" / "p17_exp1.yaml")
-    if boxes_known:
-        grid = grid.with_obstacles(
-            Obstacle(*(box[key] for key in ("id", "x", "y", "w", "b"))) for box in world["boxes"]
-        )
-    point = world["hitchhiking_points"][0]
-
-    def route(robot: str, start: dict[str, float]) -> np.ndarray:
-        config = package / "config" / f"{robot}.yaml"
-        its = GlobalPlanner(
-            load_parameters(GlobalPlannerParameters, "global_planner", config),
-            load_parameters(RobotLimits, "robot", config),
-        )
-        return its.plan(grid, Pose2D(**start), Pose2D(**world["robots"][robot]["goal"]))
-
-    driver = route("p3dx", point["aligning_pose"])
-    ride = common_stretch(driver, route("turtlebot", point["waiting_pose"]), tolerance_m=0.3)
-    assert ride.start_a_m == pytest.approx(0.0, abs=0.1)
-    assert ride.length_m == pytest.approx(20.4, abs=0.4 if boxes_known else 0.2)
 
 
 def test_willow_garage(shared_data):
