@@ -10,7 +10,7 @@ from hitchhike_ros.datatypes import FloatArray, Marker, MarkerObservation, Pose2
 from hitchhike_ros.localization.ekf import Ekf, LandmarkObservation
 from hitchhike_ros.localization.landmarks import map_corners, scan_corners
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
-from hitchhike_ros.localization.scan_alignment import ScanAlignment
+from hitchhike_ros.localization.scan_alignment import Alignment, ScanAlignment
 from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.laser import EndPoints
@@ -45,7 +45,7 @@ class EkfLocalizer(Localizer):
     def _move(self, twist: Twist2D, dt_s: float) -> None:
         self._filter().predict(twist, dt_s)
 
-    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> float | None:
+    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> Alignment | None:
         ekf, p = self._filter(), self._parameters
         alignment = self._alignment.align(ends, origin, ekf.pose, ekf.covariance)
         if alignment is None:
@@ -57,7 +57,7 @@ class EkfLocalizer(Localizer):
             # After the walls, because corners of boxes that are not in the map are then outside the gate.
             for corner in scan_corners(ends, origin, p.laser, p.corners):
                 ekf.update_landmark(_weakened(corner, p.corner_share), self._landmarks)
-        return alignment.explained
+        return alignment
 
     def _correct_by_marker(self, seen: MarkerObservation, T_map_marker: Pose2D) -> bool:
         return self._filter().update_marker(seen, T_map_marker)

@@ -25,7 +25,7 @@ from hitchhike_ros.localization.ekf import EkfParameters, check_gaussian
 from hitchhike_ros.localization.landmarks import CornerParameters
 from hitchhike_ros.localization.odometry_track import OdometryTrack, OdometryTrackParameters
 from hitchhike_ros.localization.particle_filter import ParticleParameters
-from hitchhike_ros.localization.scan_alignment import AlignmentParameters
+from hitchhike_ros.localization.scan_alignment import AlignmentParameters, Sight
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, check_scan, end_points
 
 
@@ -47,6 +47,10 @@ class Localizer(ABC):
 
     The state is kept at the time of the newest odometry. A scan or an image that was taken earlier is carried to that
     time by the odometry in between, so the order in which messages arrive does not matter.
+
+    The map's own errors are the same in scan after scan and do not average out as the noise of the sensors does.
+    Therefore a filter's state is the pose with respect to the walls as they are drawn, and what the errors of the walls
+    in the last scan do to it comes on top of the filter's covariance (a considered parameter; Schmidt, 1966).
     """
 
     def __init__(self, markers: Iterable[Marker], parameters: LocalizerParameters, T_base_laser: Pose2D) -> None:
@@ -55,6 +59,7 @@ class Localizer(ABC):
         self._odometry = OdometryTrack(parameters.odometry)
         self._stamp = 0.0
         self._explained: float | None = None
+        self._walls: FloatArray = np.zeros((3, 3))
 
     @property
     @abstractmethod
@@ -69,7 +74,8 @@ class Localizer(ABC):
             RuntimeError: before :meth:`initialise`.
         """
         self._check_initialised()
-        return PoseEstimate(self._stamp, *self._gaussian())
+        pose, covariance = self._gaussian()
+        return PoseEstimate(self._stamp, pose, covariance + self._walls)
 
     @property
     def explained(self) -> float | None:
@@ -79,7 +85,8 @@ class Localizer(ABC):
     def restart(self) -> None:
         """Forget estimate and odometry, such as after a pause in which the robot was moved; the map stays."""
         self._odometry.clear()
-        self._stamp, self._explained = 0.0, None
+        self._stamp = 0.0
+        self._start_anew()
         self._forget()
 
     def initialise(self, estimate: PoseEstimate) -> None:
@@ -96,7 +103,7 @@ class Localizer(ABC):
             pose, covariance = compose(pose, step), J @ covariance @ J.T
         elif not self._odometry:
             self._stamp = estimate.stamp
-        self._explained = None
+        self._start_anew()
         self._begin(pose, covariance)
 
     def predict(self, odometry: Odometry) -> None:
@@ -125,8 +132,12 @@ class Localizer(ABC):
         check_scan(scan)
         T_now_laser = compose(self._odometry.seen_from_now(scan.stamp, "scan"), self._T_base_laser)
         origin = np.array([T_now_laser.x, T_now_laser.y])
-        self._explained = self._correct_by_scan(end_points(scan, T_now_laser), origin)
-        return self._explained is not None
+        sight = self._correct_by_scan(end_points(scan, T_now_laser), origin)
+        self._explained = sight.explained if sight else None
+        if sight is None:
+            return False
+        self._walls = sight.walls
+        return True
 
     def update_markers(self, observations: Iterable[MarkerObservation]) -> int:
         """Correct by markers; those that are not in the map are ignored. Returns how many were used.
@@ -165,6 +176,9 @@ class Localizer(ABC):
         """Pose in the robot's ``odom`` frame at ``stamp``; raises as :meth:`estimate_at`."""
         return self._odometry.at(stamp)
 
+    def _start_anew(self) -> None:
+        self._explained, self._walls = None, np.zeros((3, 3))
+
     def _check_initialised(self) -> None:
         if not self.initialised:
             raise RuntimeError("the localizer has no estimate before initialise()")
@@ -186,11 +200,8 @@ class Localizer(ABC):
         """The robot held ``twist`` for ``dt_s`` > 0."""
 
     @abstractmethod
-    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> float | None:
-        """Correct by end points seen from ``origin`` (2,), both in ``base_footprint`` now; the share of them explained.
-
-        None where they show too little of the map.
-        """
+    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> Sight | None:
+        """Correct by end points seen from ``origin`` (2,), both in ``base_footprint`` now; None where they show too little."""
 
     @abstractmethod
     def _correct_by_marker(self, seen: MarkerObservation, T_map_marker: Pose2D) -> bool:

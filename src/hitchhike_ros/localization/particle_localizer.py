@@ -8,10 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from hitchhike_ros.datatypes import FloatArray, Marker, MarkerObservation, Pose2D, Twist2D
-from hitchhike_ros.geometry import transform_points, wrap_angles
+from hitchhike_ros.geometry import wrap_angles
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.particle_filter import ParticleFilter
-from hitchhike_ros.localization.scan_alignment import ScanAlignment, spread
+from hitchhike_ros.localization.scan_alignment import ScanAlignment, Sight, spread
 from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.grid import FREE, OccupancyGrid
 from hitchhike_ros.mapping.laser import EndPoints
@@ -58,7 +58,8 @@ class ParticleLocalizer(Localizer):
     def globalize(self) -> None:
         """Forget where the robot is: it may be anywhere in the free space of the map."""
         self._cloud.replace(self._random_poses(self._parameters.particles.max_particles))
-        self._explained, self._slow, self._fast = None, 0.0, 0.0
+        self._start_anew()
+        self._slow = self._fast = 0.0
 
     def _gaussian(self) -> tuple[Pose2D, FloatArray]:
         return self._cloud.estimate()
@@ -75,21 +76,30 @@ class ParticleLocalizer(Localizer):
     def _move(self, twist: Twist2D, dt_s: float) -> None:
         self._cloud.predict(twist, dt_s)
 
-    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> float | None:
+    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> Sight | None:
         p, align = self._parameters.particles, self._parameters.alignment
         ends = spread(ends, p.beams, align.max_gap_m)
         if len(ends.points) < align.min_beams:
             return None
         self._recover(ends, origin)
-        one = self._cloud.is_one_cluster
-        variance = self._variance(ends, origin) if one else np.full(len(ends.points), p.tolerance_m**2)
-        log_likelihood, fit = self._log_likelihood(self._cloud.poses, ends.points, variance)
+        pose, covariance = self._cloud.estimate()
+        at = self._alignment.incidence(ends, origin, pose)
+        variance, counts = np.full(len(ends.points), p.tolerance_m**2), np.ones(len(ends.points))
+        if self._cloud.is_one_cluster:
+            # The width of the cloud is part of it, or walls would be outliers to a cloud that has yet to converge.
+            cloud = 0.5 * (covariance[0, 0] + covariance[1, 1]) + 0.5 * covariance[2, 2] * ends.ranges**2
+            variance, counts = (
+                np.where(at.valid, at.variance, self._parameters.laser.sigma(ends.ranges) ** 2) + cloud,
+                at.independence,
+            )
+        log_likelihood, fit = self._log_likelihood(self._cloud.poses, ends.points, variance, counts)
         self._cloud.weigh(log_likelihood)
         explained = float(self._cloud.weights @ fit)
         self._slow += (p.alpha_slow if self._slow else 1.0) * (explained - self._slow)
         self._fast += (p.alpha_fast if self._fast else 1.0) * (explained - self._fast)
         self._cloud.resample()
-        return explained
+        on_walls = at.valid & (np.abs(at.distance) < _FIT_M)
+        return at.sight(np.where(on_walls, at.independence / at.variance, 0.0), on_walls)
 
     def _correct_by_marker(self, seen: MarkerObservation, T_map_marker: Pose2D) -> bool:
         poses, marker = self._cloud.poses, T_map_marker
@@ -162,25 +172,13 @@ class ParticleLocalizer(Localizer):
             size = int(p.random_share * len(self._cloud.poses))
             self._cloud.inject(poses[best] + self._rng.standard_normal((size, 3)) * _FOUND_SIGMA)
 
-    def _variance(self, ends: EndPoints, origin: FloatArray) -> FloatArray:
-        """Of the distances (B,) of end points to the walls: a range that grazes its wall says it well.
-
-        The width of the cloud is part of it, or walls would be outliers to a cloud that has yet to converge.
-        """
-        align = self._parameters.alignment
-        pose, covariance = self._cloud.estimate()
-        cloud = 0.5 * (covariance[0, 0] + covariance[1, 1]) + 0.5 * covariance[2, 2] * ends.ranges**2
-        points = transform_points(pose, ends.points)
-        _, gradient, valid = self._field.lookup(points)
-        rays = (points - transform_points(pose, origin[None])) / ends.ranges[:, None]
-        across = np.where(valid, np.einsum("ni,ni->n", gradient, rays), 1.0)
-        walls = align.wall_sigma_m**2 + (align.face_error * self._field.face_error(points)) ** 2
-        return (self._parameters.laser.sigma(ends.ranges) * across) ** 2 + walls + cloud
-
     def _log_likelihood(
-        self, poses: FloatArray, points: FloatArray, variance: FloatArray
+        self, poses: FloatArray, points: FloatArray, variance: FloatArray, counts: FloatArray | float = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Of end points (B, 2) in ``base_footprint`` at poses (N, 3): (N,); and the share of them on walls (N,)."""
+        """Of end points (B, 2) in ``base_footprint`` at poses (N, 3): (N,); and the share of them on walls (N,).
+
+        ``variance`` (B,) is that of their distances to the walls, ``counts`` (B,) what each of them counts.
+        """
         c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
         x = poses[:, 0, None] + c * points[:, 0] - s * points[:, 1]
         y = poses[:, 1, None] + s * points[:, 0] + c * points[:, 1]
@@ -188,4 +186,4 @@ class ParticleLocalizer(Localizer):
         likelihood = np.exp(-0.5 * distance**2 / variance)
         # How well it fits is asked with one tolerance, whatever the cloud's is, so that it compares over time.
         fit = np.mean(np.abs(distance) < _FIT_M, axis=1)
-        return np.log(likelihood + self._parameters.particles.outlier_share).sum(axis=1), fit
+        return (counts * np.log(likelihood + self._parameters.particles.outlier_share)).sum(axis=1), fit

@@ -13,6 +13,10 @@ from hitchhike_ros.mapping.grid import UNKNOWN, OccupancyGrid, distance_to
 BoolArray = npt.NDArray[np.bool_]
 
 
+# Interpolation rounds corners off, within a cell; therefore cells are cut into parts, along each side.
+_PARTS = 2
+
+
 class DistanceField:
     """Distance in m to the nearest face of a wall: positive before it, negative inside.
 
@@ -23,12 +27,13 @@ class DistanceField:
     """
 
     def __init__(self, grid: OccupancyGrid) -> None:
-        self._grid = grid
+        data = grid.data.repeat(_PARTS, axis=0).repeat(_PARTS, axis=1)
+        self._grid = grid = OccupancyGrid(data, grid.resolution / _PARTS, grid.origin)
         occupied, res = grid.occupied, grid.resolution
         unknown = np.equal(grid.data, UNKNOWN)
         behind = unknown & (distance_to(occupied, 1.0) < distance_to(~(occupied | unknown), 1.0))
         solid = occupied | behind
-        self._face_error = np.zeros(solid.shape)
+        self._face_variance = np.zeros(solid.shape)
         if solid.all() or not occupied.any():
             self._signed = np.zeros(solid.shape)
             self._wall = np.zeros(solid.shape, dtype=bool)
@@ -42,8 +47,13 @@ class DistanceField:
         four = [(slice(0, -1), slice(0, -1)), (slice(0, -1), slice(1, None)), (slice(1, None), slice(0, -1))]
         four.append((slice(1, None), slice(1, None)))
         low, high = (f([self._signed[k] for k in four], axis=0) for f in (np.min, np.max))
-        error = np.where((low < 0.0) & (high > 0.0), np.abs(np.mean([self._signed[k] for k in four], axis=0)), 0.0)
-        self._face_error[:-1, :-1] = ndimage.maximum_filter(error, 3)
+        face = (low < 0.0) & (high > 0.0)
+        # On each face between them the error falls evenly from there to none: a third of its square in the mean. Noise
+        # takes end points to faces next to theirs, so the mean is over those.
+        squares = np.where(face, np.mean([self._signed[k] for k in four], axis=0) ** 2 / 3.0, 0.0)
+        faces = ndimage.uniform_filter(face.astype(float), 3, mode="constant")
+        mean = ndimage.uniform_filter(squares, 3, mode="constant") / np.maximum(faces, 1.0 / 9.0)
+        self._face_variance[:-1, :-1] = np.maximum(mean, 0.0)
 
     def lookup(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolated field at points (N, 2) in ``map``.
@@ -70,8 +80,8 @@ class DistanceField:
         valid = on_grid & wall[k] & wall[k + 1] & wall[k + columns] & wall[k + columns + 1]
         return low + v * (high - low), gradient, valid
 
-    def face_error(self, points: FloatArray) -> FloatArray:
-        """How far the field is at most off, (N,) in m, at the wall's face near points (N, 2) in ``map``.
+    def face_variance(self, points: FloatArray) -> FloatArray:
+        """Mean square error of the field, (N,) in m^2, at the faces of walls near points (N, 2) in ``map``.
 
         Interpolation is exact before straight walls and rounds corners off, so ragged walls are known less well.
         """
@@ -79,7 +89,7 @@ class DistanceField:
         rows, columns = self._signed.shape
         column = np.clip(np.floor(local[:, 0]).astype(np.int64), 0, columns - 1)
         row = np.clip(np.floor(local[:, 1]).astype(np.int64), 0, rows - 1)
-        return self._face_error[row, column]
+        return self._face_variance[row, column]
 
     def distances(self, points: FloatArray) -> FloatArray:
         """Only the distance (N,) in m at points (N, 2) in ``map``, for many points; infinite where there is no wall."""
