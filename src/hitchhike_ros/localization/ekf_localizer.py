@@ -26,6 +26,7 @@ class EkfLocalizer(Localizer):
         self._landmarks = map_corners(grid, parameters.corners)
         self._alignment = ScanAlignment(DistanceField(grid), grid.resolution, parameters.laser, parameters.alignment)
         self._ekf: Ekf | None = None
+        self._scans = 0
 
     @property
     def initialised(self) -> bool:
@@ -37,7 +38,7 @@ class EkfLocalizer(Localizer):
         return ekf.pose, ekf.covariance
 
     def _forget(self) -> None:
-        self._ekf = None
+        self._ekf, self._scans = None, 0
 
     def _begin(self, pose: Pose2D, covariance: FloatArray) -> None:
         self._ekf = Ekf(pose, covariance, self._parameters.ekf)
@@ -50,13 +51,13 @@ class EkfLocalizer(Localizer):
         alignment = self._alignment.align(ends, origin, ekf.pose, ekf.covariance)
         if alignment is None:
             return None
-        ekf.update_information(
-            (1.0 - p.corner_share) * alignment.information, (1.0 - p.corner_share) * alignment.vector
-        )
-        if p.corner_share > 0.0:
+        self._scans += 1
+        share = 0.0 if self._scans % p.corners_every else p.corner_share
+        ekf.update_information((1.0 - share) * alignment.information, (1.0 - share) * alignment.vector)
+        if share > 0.0:
             # After the walls, because corners of boxes that are not in the map are then outside the gate.
             for corner in scan_corners(ends, origin, p.laser, p.corners):
-                ekf.update_landmark(_weakened(corner, p.corner_share), self._landmarks)
+                ekf.update_landmark(_weakened(corner, share), self._landmarks)
         return alignment
 
     def _correct_by_marker(self, seen: MarkerObservation, T_map_marker: Pose2D) -> bool:

@@ -25,7 +25,7 @@ from hitchhike_ros.localization.ekf import EkfParameters, check_gaussian
 from hitchhike_ros.localization.landmarks import CornerParameters
 from hitchhike_ros.localization.odometry_track import OdometryTrack, OdometryTrackParameters
 from hitchhike_ros.localization.particle_filter import ParticleParameters
-from hitchhike_ros.localization.scan_alignment import AlignmentParameters, Sight
+from hitchhike_ros.localization.scan_alignment import AlignmentParameters, Count, Sight
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, check_scan, end_points
 
 
@@ -38,6 +38,7 @@ class LocalizerParameters:
     corners: CornerParameters = field(default_factory=CornerParameters)
     alignment: AlignmentParameters = field(default_factory=AlignmentParameters)
     corner_share: UnitInterval = 0.2  # of a scan's information that its corners carry; the walls carry the rest
+    corners_every: Count = 5  # scans: corners take most of the time and say little that walls do not
     odometry: OdometryTrackParameters = field(default_factory=OdometryTrackParameters)
     particles: ParticleParameters = field(default_factory=ParticleParameters)
 
@@ -201,7 +202,7 @@ class Localizer(ABC):
 
     @abstractmethod
     def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> Sight | None:
-        """Correct by end points seen from ``origin`` (2,), both in ``base_footprint`` now; None where they show too little."""
+        """Correct by end points seen from ``origin`` (2,), both in ``base_footprint``; None if they say too little."""
 
     @abstractmethod
     def _correct_by_marker(self, seen: MarkerObservation, T_map_marker: Pose2D) -> bool:

@@ -29,7 +29,7 @@ class AlignmentParameters:
 
     max_beams: Count = 150
     max_gap_m: Positive = 0.2  # end points further apart count as this far when beams are spread over the walls
-    wall_sigma_m: Positive = 0.001  # of a wall's face about the edge of its cells where that is straight
+    roughness_m: Positive = 0.003  # of walls; other than the map's errors, it differs from beam to beam
     gate_sigmas: Positive = 3.5
     max_gate_m: Positive = 0.6
     min_explained: UnitInterval = 0.2
@@ -166,8 +166,8 @@ class ScanAlignment:
         distance, gradient, valid = self._field.lookup(points)
         turn = gradient[:, 1] * (points[:, 0] - pose.x) - gradient[:, 0] * (points[:, 1] - pose.y)
         towards = np.einsum("ni,ni->n", gradient, rays)
-        wall = self._parameters.wall_sigma_m**2 + self._field.face_variance(points)
-        variance = (self._noise.sigma(ends.ranges) * towards) ** 2 + wall
+        wall = self._field.face_variance(points)
+        variance = (self._noise.sigma(ends.ranges) * towards) ** 2 + self._parameters.roughness_m**2 + wall
         cells = np.floor(points / self._resolution).astype(np.int64)
         cells -= cells.min(axis=0)
         keys = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]

@@ -27,12 +27,12 @@ class DistanceField:
     """
 
     def __init__(self, grid: OccupancyGrid) -> None:
-        data = grid.data.repeat(_PARTS, axis=0).repeat(_PARTS, axis=1)
-        self._grid = grid = OccupancyGrid(data, grid.resolution / _PARTS, grid.origin)
-        occupied, res = grid.occupied, grid.resolution
-        unknown = np.equal(grid.data, UNKNOWN)
+        occupied, unknown = grid.occupied, np.equal(grid.data, UNKNOWN)
         behind = unknown & (distance_to(occupied, 1.0) < distance_to(~(occupied | unknown), 1.0))
-        solid = occupied | behind
+        occupied, solid = (
+            cells.repeat(_PARTS, axis=0).repeat(_PARTS, axis=1) for cells in (occupied, occupied | behind)
+        )
+        self._origin, self._resolution = grid.origin, grid.resolution / _PARTS
         self._face_variance = np.zeros(solid.shape)
         if solid.all() or not occupied.any():
             self._signed = np.zeros(solid.shape)
@@ -40,7 +40,7 @@ class DistanceField:
             return
         outside, to_solid = ndimage.distance_transform_edt(~solid, return_indices=True)
         inside, to_free = ndimage.distance_transform_edt(solid, return_indices=True)
-        self._signed = np.where(solid, 0.5 - inside, outside - 0.5) * res
+        self._signed = np.where(solid, 0.5 - inside, outside - 0.5) * self._resolution
         beside_wall = ndimage.binary_dilation(occupied, np.ones((3, 3)))
         self._wall = np.where(solid, beside_wall[tuple(to_free)], occupied[tuple(to_solid)])
         # Between four centres that are not all on one side there is a face, and where it ends the field should be zero.
@@ -62,8 +62,8 @@ class DistanceField:
             Distance (N,) in m, its gradient (N, 2) in ``map``, and a mask (N,) of the points that have a wall next to
             them; elsewhere distance and gradient mean nothing.
         """
-        origin, (rows, columns) = self._grid.origin, self._signed.shape
-        local = transform_points(inverse(origin), points) / self._grid.resolution - 0.5
+        origin, (rows, columns) = self._origin, self._signed.shape
+        local = transform_points(inverse(origin), points) / self._resolution - 0.5
         floor = np.floor(local)
         column, row = floor[:, 0].astype(np.int64), floor[:, 1].astype(np.int64)
         on_grid = (column >= 0) & (row >= 0) & (column < columns - 1) & (row < rows - 1)
@@ -73,7 +73,7 @@ class DistanceField:
         d00, d10, d01, d11 = flat[k], flat[k + 1], flat[k + columns], flat[k + columns + 1]
         low, high = d00 + u * (d10 - d00), d01 + u * (d11 - d01)
         gx = (d10 - d00) * (1.0 - v) + (d11 - d01) * v
-        gradient = np.column_stack([gx, high - low]) / self._grid.resolution
+        gradient = np.column_stack([gx, high - low]) / self._resolution
         if origin.theta:
             c, s = np.cos(origin.theta), np.sin(origin.theta)
             gradient = gradient @ np.array([[c, s], [-s, c]])
@@ -85,7 +85,7 @@ class DistanceField:
 
         Interpolation is exact before straight walls and rounds corners off, so ragged walls are known less well.
         """
-        local = transform_points(inverse(self._grid.origin), points) / self._grid.resolution - 0.5
+        local = transform_points(inverse(self._origin), points) / self._resolution - 0.5
         rows, columns = self._signed.shape
         column = np.clip(np.floor(local[:, 0]).astype(np.int64), 0, columns - 1)
         row = np.clip(np.floor(local[:, 1]).astype(np.int64), 0, rows - 1)
@@ -94,7 +94,7 @@ class DistanceField:
     def distances(self, points: FloatArray) -> FloatArray:
         """Only the distance (N,) in m at points (N, 2) in ``map``, for many points; infinite where there is no wall."""
         rows, columns = self._signed.shape
-        local = transform_points(inverse(self._grid.origin), points) / self._grid.resolution - 0.5
+        local = transform_points(inverse(self._origin), points) / self._resolution - 0.5
         column, row = np.floor(local).astype(np.int64).T
         on_grid = (column >= 0) & (row >= 0) & (column < columns - 1) & (row < rows - 1)
         k = np.where(on_grid, row * columns + column, 0)
