@@ -14,7 +14,8 @@ from hitchhike_ros.datatypes import Marker, MarkerObservation, Obstacle, Odometr
 from hitchhike_ros.errors import SensorDataError
 from hitchhike_ros.geometry import between, compose
 from hitchhike_ros.localization.ekf import mahalanobis_squared, pose_error
-from hitchhike_ros.localization.localizer import EkfLocalizer, LocalizerParameters
+from hitchhike_ros.localization.ekf_localizer import EkfLocalizer
+from hitchhike_ros.localization.localizer import LocalizerParameters
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.map_file import load_map
 

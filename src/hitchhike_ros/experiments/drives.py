@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchhike_ros.datatypes import FloatArray, LaserScan, Marker, Odometry, Pose2D, Twist2D
-from hitchhike_ros.geometry import pose_from_matrix, wrap_angle
+from hitchhike_ros.geometry import distance, pose_from_matrix, wrap_angle
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.parameters import load_parameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
@@ -25,12 +25,13 @@ from hitchhike_ros.simulation.drive import OdometryParameters, WheelOdometry
 from hitchhike_ros.simulation.laser import LaserParameters, as_scan
 from hitchhike_ros.simulation.robot import SimulatedRobot, robot_files
 from hitchhike_ros.simulation.world import World
-from hitchhike_ros.simulation.world_file import WorldFile
+from hitchhike_ros.simulation.world_file import Box, WorldFile
 
 SCAN_RATE_HZ = 10
 ODOMETRY_PER_SCAN = 2
 _LOOKAHEAD_M = 0.5
 _SPEED_MPS = 0.5
+_ARRIVED_M = 2.0 * _LOOKAHEAD_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +55,17 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One robot's way through a world whose map it has; boxes and other robots are not in the map."""
+    """One robot's way through a world whose map it has; boxes and other robots are not in the map.
+
+    ``arrived`` says whether it led to the goal, without touching anything.
+    """
 
     grid: OccupancyGrid
     markers: tuple[Marker, ...]
     T_base_laser: Pose2D
     config: Path
     steps: tuple[Step, ...]
+    arrived: bool
 
     def moments(self, seed: int) -> Iterator[Moment]:
         """The drive as the robot's sensors tell it, with noise of one seed."""
@@ -77,26 +82,39 @@ class Drive:
 
 
 def plan_route(file: WorldFile, grid: OccupancyGrid, robot: str, package: Path) -> FloatArray:
-    """Path (N, 2) from the robot's start to its goal, around the boxes of the world.
+    """Path (N, 2) from the robot's start to its goal, around boxes and other robots, which stand at their starts.
 
     Raises:
         PlanningError: there is none.
     """
     entry = file.robots[robot]
+    around = [*file.boxes]
+    for name, other in file.robots.items():
+        if name != robot:
+            r = _limits(other.model, package).circumscribed_m
+            around.append(Box(name, other.start.x - r, other.start.y - r, 2.0 * r, 2.0 * r))
     _, config = robot_files(entry.model, package)
-    limits = load_parameters(RobotLimits, "robot", config)
-    planner = GlobalPlanner(load_parameters(GlobalPlannerParameters, "global_planner", config), limits)
-    return planner.plan(grid.with_obstacles(file.boxes), entry.start, entry.goal or entry.start)
+    planner = GlobalPlanner(
+        load_parameters(GlobalPlannerParameters, "global_planner", config), _limits(entry.model, package)
+    )
+    return planner.plan(grid.with_obstacles(around), entry.start, entry.goal or entry.start)
 
 
-def record(file: WorldFile, robot: str, package: Path, limit_s: float = 120.0) -> Drive:
+def _limits(model: str, package: Path) -> RobotLimits:
+    _, config = robot_files(model, package)
+    return load_parameters(RobotLimits, "robot", config)
+
+
+def record(file: WorldFile, robot: str, package: Path, limit_s: float = 300.0) -> Drive:
     """Drive from start to goal, at most ``limit_s`` of simulated time."""
     with World(file, package=package) as world:
         route = plan_route(world.file, world.grid, robot, package)
         urdf, config = robot_files(file.robots[robot].model, package)
         steps = tuple(_steps(world, world.robots[robot], route, limit_s))
         T_base_laser = pose_from_matrix(mount(urdf, "laser"))
-        return Drive(world.grid, tuple(file.sites.markers), T_base_laser, config, steps)
+        end = Pose2D(*route[-1].tolist())
+        arrived = not world.contacts() and distance(steps[-1].pose, end) < _ARRIVED_M
+        return Drive(world.grid, tuple(file.sites.markers), T_base_laser, config, steps, arrived)
 
 
 def _steps(world: World, robot: SimulatedRobot, route: FloatArray, limit_s: float) -> Iterator[Step]:

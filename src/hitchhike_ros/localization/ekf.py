@@ -63,17 +63,9 @@ class Ekf:
         Raises:
             ValueError: the mean is not finite or the covariance is none.
         """
-        P = np.array(covariance, dtype=float)
-        if not mean.is_finite():
-            raise ValueError(f"mean {mean} is not finite")
-        if P.shape != (3, 3) or not np.isfinite(P).all():
-            raise ValueError(f"covariance {P.tolist()} is not a finite 3 x 3 matrix")
-        scale = max(float(np.abs(P).max()), 1e-12)
-        if np.abs(P - P.T).max() > 1e-6 * scale or np.linalg.eigvalsh((P + P.T) / 2).min() < -1e-6 * scale:
-            raise ValueError(f"covariance {P.tolist()} is not symmetric and positive semi-definite")
+        self._P = check_gaussian(mean, covariance)
         self._parameters = parameters or EkfParameters()
         self._pose = Pose2D(mean.x, mean.y, wrap_angle(mean.theta))
-        self._P: FloatArray = (P + P.T) / 2
 
     @property
     def pose(self) -> Pose2D:
@@ -165,6 +157,24 @@ class Ekf:
 
     def _set(self, P: FloatArray) -> None:
         self._P = (P + P.T) / 2
+
+
+def check_gaussian(mean: Pose2D, covariance: FloatArray) -> FloatArray:
+    """The covariance (3, 3) of a pose, exactly symmetric.
+
+    Raises:
+        ValueError: the mean is not finite or the covariance is not symmetric and positive semi-definite.
+    """
+    P = np.array(covariance, dtype=float)
+    if not mean.is_finite():
+        raise ValueError(f"mean {mean} is not finite")
+    if P.shape != (3, 3) or not np.isfinite(P).all():
+        raise ValueError(f"covariance {P.tolist()} is not a finite 3 x 3 matrix")
+    scale = max(float(np.abs(P).max()), 1e-12)
+    if np.abs(P - P.T).max() > 1e-6 * scale or np.linalg.eigvalsh((P + P.T) / 2).min() < -1e-6 * scale:
+        raise ValueError(f"covariance {P.tolist()} is not symmetric and positive semi-definite")
+    symmetric: FloatArray = (P + P.T) / 2
+    return symmetric
 
 
 def expected_landmarks(pose: Pose2D, positions: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,31 +1,32 @@
-"""One robot's localization in a known map: odometry, corners, walls and known markers in one filter."""
+"""What every way to localize has in common: odometry, late messages, the map's markers."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hitchhike_ros.datatypes import (
+    FloatArray,
     LaserScan,
     Marker,
     MarkerObservation,
     Odometry,
     Pose2D,
     PoseEstimate,
+    Twist2D,
     UnitInterval,
 )
 from hitchhike_ros.errors import SensorDataError
-from hitchhike_ros.geometry import compose, compose_jacobians, inverse, transform_points
-from hitchhike_ros.localization.ekf import Ekf, EkfParameters, LandmarkObservation
-from hitchhike_ros.localization.landmarks import CornerParameters, map_corners, scan_corners
+from hitchhike_ros.geometry import compose, compose_jacobians, inverse
+from hitchhike_ros.localization.ekf import EkfParameters, check_gaussian
+from hitchhike_ros.localization.landmarks import CornerParameters
 from hitchhike_ros.localization.odometry_track import OdometryTrack, OdometryTrackParameters
 from hitchhike_ros.localization.particle_filter import ParticleParameters
-from hitchhike_ros.localization.scan_alignment import AlignmentParameters, ScanAlignment
-from hitchhike_ros.mapping.distance_field import DistanceField
-from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.laser import LaserNoise, check_scan, end_points
+from hitchhike_ros.localization.scan_alignment import AlignmentParameters, Count, Sight
+from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, check_scan, end_points
 
 
 @dataclass(frozen=True)
@@ -37,38 +38,34 @@ class LocalizerParameters:
     corners: CornerParameters = field(default_factory=CornerParameters)
     alignment: AlignmentParameters = field(default_factory=AlignmentParameters)
     corner_share: UnitInterval = 0.2  # of a scan's information that its corners carry; the walls carry the rest
+    corners_every: Count = 5  # scans: corners take most of the time and say little that walls do not
     odometry: OdometryTrackParameters = field(default_factory=OdometryTrackParameters)
     particles: ParticleParameters = field(default_factory=ParticleParameters)
 
 
-class EkfLocalizer:
-    """The papers' filter fed by one robot's sensors (P18 §8.2).
+class Localizer(ABC):
+    """One robot's localization in a known map.
 
     The state is kept at the time of the newest odometry. A scan or an image that was taken earlier is carried to that
     time by the odometry in between, so the order in which messages arrive does not matter.
+
+    The map's own errors are the same in scan after scan and do not average out as the noise of the sensors does.
+    Therefore a filter's state is the pose with respect to the walls as they are drawn, and what the errors of the walls
+    in the last scan do to it comes on top of the filter's covariance (a considered parameter; Schmidt, 1966).
     """
 
-    def __init__(
-        self, grid: OccupancyGrid, markers: Iterable[Marker], parameters: LocalizerParameters, T_base_laser: Pose2D
-    ) -> None:
+    def __init__(self, markers: Iterable[Marker], parameters: LocalizerParameters, T_base_laser: Pose2D) -> None:
         self._parameters, self._T_base_laser = parameters, T_base_laser
         self._markers = {m.id: Pose2D(m.x, m.y, m.yaw) for m in markers}
-        self._landmarks = map_corners(grid, parameters.corners)
-        self._alignment = ScanAlignment(DistanceField(grid), grid.resolution, parameters.laser, parameters.alignment)
-        self._ekf: Ekf | None = None
-        self._stamp = 0.0
         self._odometry = OdometryTrack(parameters.odometry)
+        self._stamp = 0.0
         self._explained: float | None = None
-
-    def restart(self) -> None:
-        """Forget estimate and odometry, such as after a pause in which the robot was moved; the map stays."""
-        self._odometry.clear()
-        self._ekf, self._explained, self._stamp = None, None, 0.0
+        self._walls: FloatArray = np.zeros((3, 3))
 
     @property
+    @abstractmethod
     def initialised(self) -> bool:
         """Whether there is an estimate."""
-        return self._ekf is not None
 
     @property
     def estimate(self) -> PoseEstimate:
@@ -77,12 +74,21 @@ class EkfLocalizer:
         Raises:
             RuntimeError: before :meth:`initialise`.
         """
-        return self._filter().estimate(self._stamp)
+        self._check_initialised()
+        pose, covariance = self._gaussian()
+        return PoseEstimate(self._stamp, pose, covariance + self._walls)
 
     @property
     def explained(self) -> float | None:
         """Share of the last scan's beams that lie on walls of the map; None where the scan could not be used."""
         return self._explained
+
+    def restart(self) -> None:
+        """Forget estimate and odometry, such as after a pause in which the robot was moved; the map stays."""
+        self._odometry.clear()
+        self._stamp = 0.0
+        self._start_anew()
+        self._forget()
 
     def initialise(self, estimate: PoseEstimate) -> None:
         """Start, or start again, from a pose known otherwise.
@@ -90,15 +96,16 @@ class EkfLocalizer:
         Raises:
             ValueError: the pose is not finite or the covariance is none.
         """
-        ekf = Ekf(estimate.pose, estimate.covariance, self._parameters.ekf)
+        pose, covariance = estimate.pose, check_gaussian(estimate.pose, estimate.covariance)
         if self._odometry and estimate.stamp >= self._odometry.oldest.stamp:
             # A pose taken a moment ago: the robot has moved on since.
             step = inverse(self._odometry.seen_from_now(min(estimate.stamp, self._stamp)))
-            J, _ = compose_jacobians(estimate.pose, step)
-            ekf = Ekf(compose(estimate.pose, step), J @ ekf.covariance @ J.T, self._parameters.ekf)
+            J, _ = compose_jacobians(pose, step)
+            pose, covariance = compose(pose, step), J @ covariance @ J.T
         elif not self._odometry:
             self._stamp = estimate.stamp
-        self._ekf, self._explained = ekf, None
+        self._start_anew()
+        self._begin(pose, covariance)
 
     def predict(self, odometry: Odometry) -> None:
         """Move by the difference to the odometry before.
@@ -112,32 +119,25 @@ class EkfLocalizer:
         finally:
             if self._odometry:
                 self._stamp = self._odometry.newest.stamp
-        if motion is not None and self._ekf is not None:
-            self._ekf.predict(*motion)
+        if motion is not None and self.initialised:
+            self._move(*motion)
 
     def update_scan(self, scan: LaserScan) -> bool:
-        """Correct by the corners and walls in a scan; False where it shows too little of the map.
+        """Correct by a scan; False where it shows too little of the map.
 
         Raises:
             SensorDataError: the scan is senseless, or too old or too new for the odometry. Nothing has changed then.
             RuntimeError: before :meth:`initialise`.
         """
-        ekf, p = self._filter(), self._parameters
+        self._check_initialised()
         check_scan(scan)
-        T_now_then = self._odometry.seen_from_now(scan.stamp, "scan")
-        ends = end_points(scan, compose(T_now_then, self._T_base_laser))
-        origin = transform_points(T_now_then, np.array([[self._T_base_laser.x, self._T_base_laser.y]]))[0]
-        alignment = self._alignment.align(ends, origin, ekf.pose, ekf.covariance)
-        self._explained = alignment.explained if alignment else None
-        if alignment is None:
+        T_now_laser = compose(self._odometry.seen_from_now(scan.stamp, "scan"), self._T_base_laser)
+        origin = np.array([T_now_laser.x, T_now_laser.y])
+        sight = self._correct_by_scan(end_points(scan, T_now_laser), origin)
+        self._explained = sight.explained if sight else None
+        if sight is None:
             return False
-        ekf.update_information(
-            (1.0 - p.corner_share) * alignment.information, (1.0 - p.corner_share) * alignment.vector
-        )
-        if p.corner_share > 0.0:
-            # After the walls, because corners of boxes that are not in the map are then outside the gate.
-            for corner in scan_corners(ends, origin, p.laser, p.corners):
-                ekf.update_landmark(_weakened(corner, p.corner_share), self._landmarks)
+        self._walls = sight.walls
         return True
 
     def update_markers(self, observations: Iterable[MarkerObservation]) -> int:
@@ -147,7 +147,8 @@ class EkfLocalizer:
             SensorDataError: an observation is not finite, or too old or too new for the odometry.
             RuntimeError: before :meth:`initialise`.
         """
-        ekf, used = self._filter(), 0
+        self._check_initialised()
+        used = 0
         for seen in observations:
             if seen.marker_id not in self._markers:
                 continue
@@ -155,10 +156,9 @@ class EkfLocalizer:
                 raise SensorDataError(f"marker {seen.marker_id} at {seen.stamp:.2f} s is not finite")
             T_now_then = self._odometry.seen_from_now(seen.stamp, "image")
             _, J = compose_jacobians(T_now_then, seen.pose)
-            now = MarkerObservation(
-                self._stamp, seen.marker_id, compose(T_now_then, seen.pose), J @ seen.covariance @ J.T
-            )
-            used += ekf.update_marker(now, self._markers[seen.marker_id])
+            T_now_marker, covariance = compose(T_now_then, seen.pose), J @ seen.covariance @ J.T
+            now = MarkerObservation(self._stamp, seen.marker_id, T_now_marker, covariance)
+            used += self._correct_by_marker(now, self._markers[seen.marker_id])
         return used
 
     def estimate_at(self, stamp: float) -> PoseEstimate:
@@ -168,29 +168,42 @@ class EkfLocalizer:
             SensorDataError: the time is too old or too new for the odometry.
             RuntimeError: before :meth:`initialise`.
         """
-        ekf = self._filter()
+        now = self.estimate
         T_now_then = self._odometry.seen_from_now(stamp)
-        J, _ = compose_jacobians(ekf.pose, T_now_then)
-        return PoseEstimate(stamp, compose(ekf.pose, T_now_then), J @ ekf.covariance @ J.T)
+        J, _ = compose_jacobians(now.pose, T_now_then)
+        return PoseEstimate(stamp, compose(now.pose, T_now_then), J @ now.covariance @ J.T)
 
     def odometry_at(self, stamp: float) -> Pose2D:
         """Pose in the robot's ``odom`` frame at ``stamp``; raises as :meth:`estimate_at`."""
         return self._odometry.at(stamp)
 
-    def _filter(self) -> Ekf:
-        if self._ekf is None:
+    def _start_anew(self) -> None:
+        self._explained, self._walls = None, np.zeros((3, 3))
+
+    def _check_initialised(self) -> None:
+        if not self.initialised:
             raise RuntimeError("the localizer has no estimate before initialise()")
-        return self._ekf
 
+    @abstractmethod
+    def _gaussian(self) -> tuple[Pose2D, FloatArray]:
+        """Mean and covariance (3, 3) of the estimate."""
 
-def _weakened(observation: LandmarkObservation, share: float) -> LandmarkObservation:
-    """The observation with only a share of its information, because its beams are used once more."""
-    scale = 1.0 / np.sqrt(share)
-    return LandmarkObservation(
-        observation.range_m,
-        observation.bearing_rad,
-        observation.signature,
-        observation.range_sigma_m * scale,
-        observation.bearing_sigma_rad * scale,
-        observation.signature_sigma,
-    )
+    @abstractmethod
+    def _forget(self) -> None:
+        """Have no estimate."""
+
+    @abstractmethod
+    def _begin(self, pose: Pose2D, covariance: FloatArray) -> None:
+        """Start from a Gaussian that has been checked."""
+
+    @abstractmethod
+    def _move(self, twist: Twist2D, dt_s: float) -> None:
+        """The robot held ``twist`` for ``dt_s`` > 0."""
+
+    @abstractmethod
+    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> Sight | None:
+        """Correct by end points seen from ``origin`` (2,), both in ``base_footprint``; None if they say too little."""
+
+    @abstractmethod
+    def _correct_by_marker(self, seen: MarkerObservation, T_map_marker: Pose2D) -> bool:
+        """Correct by a marker of the map as seen now; False when it is outside the gate."""

@@ -7,17 +7,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, LaserScan, Marker, MarkerObservation, Odometry, Pose2D, PoseEstimate
-from hitchhike_ros.errors import SensorDataError
-from hitchhike_ros.geometry import compose, compose_jacobians, inverse, transform_points, wrap_angles
-from hitchhike_ros.localization.ekf import Ekf
-from hitchhike_ros.localization.localizer import LocalizerParameters
-from hitchhike_ros.localization.odometry_track import OdometryTrack
+from hitchhike_ros.datatypes import FloatArray, Marker, MarkerObservation, Pose2D, Twist2D
+from hitchhike_ros.geometry import wrap_angles
+from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.particle_filter import ParticleFilter
-from hitchhike_ros.localization.scan_alignment import ScanAlignment, spread
+from hitchhike_ros.localization.scan_alignment import ScanAlignment, Sight, spread
 from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.grid import FREE, OccupancyGrid
-from hitchhike_ros.mapping.laser import EndPoints, check_scan, end_points
+from hitchhike_ros.mapping.laser import EndPoints
 
 # Beams by which random poses are tried first; how far such a pose is from one that fits; how far it is when it has been
 # aligned; and how near to a wall an end point fits (all chosen).
@@ -27,8 +24,8 @@ _FOUND_SIGMA = np.array([0.03, 0.03, 0.02])
 _FIT_M = 0.08
 
 
-class ParticleLocalizer:
-    """The same inputs and outputs as :class:`hitchhike_ros.localization.localizer.EkfLocalizer`.
+class ParticleLocalizer(Localizer):
+    """A cloud of poses; the estimate is its heaviest cluster, with the covariance of the whole cloud about it.
 
     A scan is weighed by its end points' distances to the walls (likelihood field; Thrun, Burgard, Fox, Probabilistic
     Robotics, Table 6.3). When scans fit worse than they used to (w_fast below w_slow, Table 8.3), some particles are
@@ -38,16 +35,15 @@ class ParticleLocalizer:
     def __init__(
         self, grid: OccupancyGrid, markers: Iterable[Marker], parameters: LocalizerParameters, T_base_laser: Pose2D
     ) -> None:
-        self._parameters, self._T_base_laser = parameters, T_base_laser
-        self._markers = {m.id: Pose2D(m.x, m.y, m.yaw) for m in markers}
+        super().__init__(markers, parameters, T_base_laser)
         self._field = DistanceField(grid)
         self._alignment = ScanAlignment(self._field, grid.resolution, parameters.laser, parameters.alignment)
         self._free = grid.cell_to_world(np.argwhere(grid.data == FREE))
         self._resolution = grid.resolution
-        self._odometry = OdometryTrack(parameters.odometry)
         self._rng = np.random.default_rng(parameters.particles.seed)
         self._cloud = ParticleFilter(parameters.ekf.motion, parameters.particles, self._rng)
-        self.restart()
+        self._slow = self._fast = 0.0  # w_slow and w_fast: how well scans fit in the long run and of late
+        self._scans = 0
 
     @property
     def initialised(self) -> bool:
@@ -55,156 +51,75 @@ class ParticleLocalizer:
         return len(self._cloud.poses) > 0
 
     @property
-    def estimate(self) -> PoseEstimate:
-        """Pose in ``map`` at the time of the newest odometry; its covariance is that of the whole cloud.
-
-        Raises:
-            RuntimeError: before :meth:`initialise`.
-        """
-        self._check_initialised()
-        return PoseEstimate(self._stamp, *self._cloud.estimate())
-
-    @property
-    def explained(self) -> float | None:
-        """How well the last scan fits, 0 to 1; None where it could not be used."""
-        return self._explained
-
-    @property
     def particles(self) -> FloatArray:
         """The cloud (N, 3) in ``map``."""
         return self._cloud.poses.copy()
 
-    def restart(self) -> None:
-        """Forget estimate and odometry, such as after a pause in which the robot was moved; the map stays."""
-        self._odometry.clear()
-        self._cloud.poses, self._cloud.weights = np.zeros((0, 3)), np.zeros(0)
-        self._stamp = 0.0
-        self._explained: float | None = None
-        self._slow = self._fast = 0.0
-        self._scans = 0
-
-    def initialise(self, estimate: PoseEstimate) -> None:
-        """Start, or start again, from a pose known otherwise.
-
-        Raises:
-            ValueError: the pose is not finite or the covariance is none.
-        """
-        ekf = Ekf(estimate.pose, estimate.covariance)  # checks them
-        pose, covariance = ekf.pose, ekf.covariance
-        if self._odometry and estimate.stamp >= self._odometry.oldest.stamp:
-            # A pose taken a moment ago: the robot has moved on since.
-            step = inverse(self._odometry.seen_from_now(min(estimate.stamp, self._stamp)))
-            J, _ = compose_jacobians(pose, step)
-            pose, covariance = compose(pose, step), J @ covariance @ J.T
-        elif not self._odometry:
-            self._stamp = estimate.stamp
-        self._cloud.seed(pose, covariance)
-        self._explained, self._slow, self._fast = None, 0.0, 0.0
-
     def globalize(self) -> None:
         """Forget where the robot is: it may be anywhere in the free space of the map."""
         self._cloud.replace(self._random_poses(self._parameters.particles.max_particles))
-        self._explained, self._slow, self._fast = None, 0.0, 0.0
+        self._start_anew()
+        self._slow = self._fast = 0.0
 
-    def predict(self, odometry: Odometry) -> None:
-        """Move by the difference to the odometry before.
+    def _gaussian(self) -> tuple[Pose2D, FloatArray]:
+        return self._cloud.estimate()
 
-        Raises:
-            SensorDataError: the odometry is not finite, runs back in time or has jumped. The estimate stays as it was;
-                after a jump, in time or in space, the next odometry counts from this one.
-        """
-        try:
-            motion = self._odometry.add(odometry)
-        finally:
-            if self._odometry:
-                self._stamp = self._odometry.newest.stamp
-        if motion is not None and self.initialised:
-            self._cloud.predict(*motion)
+    def _forget(self) -> None:
+        self._cloud.poses, self._cloud.weights = np.zeros((0, 3)), np.zeros(0)
+        self._slow = self._fast = 0.0
+        self._scans = 0
 
-    def update_scan(self, scan: LaserScan) -> bool:
-        """Weigh the particles by a scan; False where it has too few end points.
+    def _begin(self, pose: Pose2D, covariance: FloatArray) -> None:
+        self._cloud.seed(pose, covariance)
+        self._slow = self._fast = 0.0
 
-        Raises:
-            SensorDataError: the scan is senseless, or too old or too new for the odometry. Nothing has changed then.
-            RuntimeError: before :meth:`initialise`.
-        """
-        self._check_initialised()
+    def _move(self, twist: Twist2D, dt_s: float) -> None:
+        self._cloud.predict(twist, dt_s)
+
+    def _correct_by_scan(self, ends: EndPoints, origin: FloatArray) -> Sight | None:
         p, align = self._parameters.particles, self._parameters.alignment
-        check_scan(scan)
-        T_now_then = self._odometry.seen_from_now(scan.stamp, "scan")
-        ends = spread(end_points(scan, compose(T_now_then, self._T_base_laser)), p.beams, align.max_gap_m)
-        self._explained = None
+        ends = spread(ends, p.beams, align.max_gap_m)
         if len(ends.points) < align.min_beams:
-            return False
-        origin = transform_points(T_now_then, np.array([[self._T_base_laser.x, self._T_base_laser.y]]))[0]
+            return None
         self._recover(ends, origin)
-        one = self._cloud.is_one_cluster
-        variance = self._variance(ends, T_now_then) if one else np.full(len(ends.points), p.tolerance_m**2)
-        log_likelihood, fit = self._log_likelihood(self._cloud.poses, ends.points, variance)
+        pose, covariance = self._cloud.estimate()
+        at = self._alignment.incidence(ends, origin, pose)
+        variance, counts = np.full(len(ends.points), p.tolerance_m**2), np.ones(len(ends.points))
+        if self._cloud.is_one_cluster:
+            # The width of the cloud is part of it, or walls would be outliers to a cloud that has yet to converge.
+            cloud = 0.5 * (covariance[0, 0] + covariance[1, 1]) + 0.5 * covariance[2, 2] * ends.ranges**2
+            variance, counts = (
+                np.where(at.valid, at.variance, self._parameters.laser.sigma(ends.ranges) ** 2) + cloud,
+                at.independence,
+            )
+        log_likelihood, fit = self._log_likelihood(self._cloud.poses, ends.points, variance, counts)
         self._cloud.weigh(log_likelihood)
-        explained = self._explained = float(self._cloud.weights @ fit)
+        explained = float(self._cloud.weights @ fit)
         self._slow += (p.alpha_slow if self._slow else 1.0) * (explained - self._slow)
         self._fast += (p.alpha_fast if self._fast else 1.0) * (explained - self._fast)
         self._cloud.resample()
+        on_walls = at.valid & (np.abs(at.distance) < _FIT_M)
+        return at.sight(np.where(on_walls, at.independence / at.variance, 0.0), on_walls)
+
+    def _correct_by_marker(self, seen: MarkerObservation, T_map_marker: Pose2D) -> bool:
+        poses, marker = self._cloud.poses, T_map_marker
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        dx, dy = marker.x - poses[:, 0], marker.y - poses[:, 1]
+        innovation = np.column_stack(
+            [
+                seen.pose.x - (c * dx + s * dy),
+                seen.pose.y - (c * dy - s * dx),
+                wrap_angles(seen.pose.theta - marker.theta + poses[:, 2]),
+            ]
+        )
+        squared = np.einsum("ni,ij,nj->n", innovation, np.linalg.inv(seen.covariance), innovation)
+        _, covariance = self._cloud.estimate()
+        reach = 9.0 * float(np.trace(covariance) / max(np.trace(seen.covariance), 1e-9))
+        if float(squared.min()) > self._parameters.ekf.gate * (1.0 + reach):
+            return False
+        self._cloud.weigh(-0.5 * squared)
+        self._cloud.resample()
         return True
-
-    def update_markers(self, observations: Iterable[MarkerObservation]) -> int:
-        """Weigh by markers; those that are not in the map are ignored. Returns how many were used.
-
-        Raises:
-            SensorDataError: an observation is not finite, or too old or too new for the odometry.
-            RuntimeError: before :meth:`initialise`.
-        """
-        self._check_initialised()
-        used, poses = 0, self._cloud.poses
-        for seen in observations:
-            if seen.marker_id not in self._markers:
-                continue
-            if not (seen.pose.is_finite() and np.isfinite(seen.covariance).all()):
-                raise SensorDataError(f"marker {seen.marker_id} at {seen.stamp:.2f} s is not finite")
-            T_now_then = self._odometry.seen_from_now(seen.stamp, "image")
-            _, J = compose_jacobians(T_now_then, seen.pose)
-            now, marker = compose(T_now_then, seen.pose), self._markers[seen.marker_id]
-            c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-            dx, dy = marker.x - poses[:, 0], marker.y - poses[:, 1]
-            innovation = np.column_stack(
-                [
-                    now.x - (c * dx + s * dy),
-                    now.y - (c * dy - s * dx),
-                    wrap_angles(now.theta - marker.theta + poses[:, 2]),
-                ]
-            )
-            precision = np.linalg.inv(J @ seen.covariance @ J.T)
-            squared = np.einsum("ni,ij,nj->n", innovation, precision, innovation)
-            _, covariance = self._cloud.estimate()
-            reach = 9.0 * float(np.trace(covariance) / max(np.trace(J @ seen.covariance @ J.T), 1e-9))
-            if float(squared.min()) > self._parameters.ekf.gate * (1.0 + reach):
-                continue
-            self._cloud.weigh(-0.5 * squared)
-            used += 1
-        if used:
-            self._cloud.resample()
-        return used
-
-    def estimate_at(self, stamp: float) -> PoseEstimate:
-        """The estimate carried by odometry to another time, such as that of a scan.
-
-        Raises:
-            SensorDataError: the time is too old or too new for the odometry.
-            RuntimeError: before :meth:`initialise`.
-        """
-        now = self.estimate
-        T_now_then = self._odometry.seen_from_now(stamp)
-        J, _ = compose_jacobians(now.pose, T_now_then)
-        return PoseEstimate(stamp, compose(now.pose, T_now_then), J @ now.covariance @ J.T)
-
-    def odometry_at(self, stamp: float) -> Pose2D:
-        """Pose in the robot's ``odom`` frame at ``stamp``; raises as :meth:`estimate_at`."""
-        return self._odometry.at(stamp)
-
-    def _check_initialised(self) -> None:
-        if not self.initialised:
-            raise RuntimeError("the localizer has no estimate before initialise()")
 
     def _random_poses(self, size: int) -> FloatArray:
         cells = self._free[self._rng.integers(len(self._free), size=size)]
@@ -257,26 +172,13 @@ class ParticleLocalizer:
             size = int(p.random_share * len(self._cloud.poses))
             self._cloud.inject(poses[best] + self._rng.standard_normal((size, 3)) * _FOUND_SIGMA)
 
-    def _variance(self, ends: EndPoints, T_now_then: Pose2D) -> FloatArray:
-        """Of the distances (B,) of end points to the walls: a range that grazes its wall says it well.
-
-        The width of the cloud is part of it, or walls would be outliers to a cloud that has yet to converge.
-        """
-        align = self._parameters.alignment
-        pose, covariance = self._cloud.estimate()
-        cloud = 0.5 * (covariance[0, 0] + covariance[1, 1]) + 0.5 * covariance[2, 2] * ends.ranges**2
-        laser = compose(pose, compose(T_now_then, self._T_base_laser))
-        points = transform_points(pose, ends.points)
-        _, gradient, valid = self._field.lookup(points)
-        rays = (points - [laser.x, laser.y]) / ends.ranges[:, None]
-        across = np.where(valid, np.einsum("ni,ni->n", gradient, rays), 1.0)
-        walls = align.wall_sigma_m**2 + (align.face_error * self._field.face_error(points)) ** 2
-        return (self._parameters.laser.sigma(ends.ranges) * across) ** 2 + walls + cloud
-
     def _log_likelihood(
-        self, poses: FloatArray, points: FloatArray, variance: FloatArray
+        self, poses: FloatArray, points: FloatArray, variance: FloatArray, counts: FloatArray | float = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Of end points (B, 2) in ``base_footprint`` at poses (N, 3): (N,); and the share of them on walls (N,)."""
+        """Of end points (B, 2) in ``base_footprint`` at poses (N, 3): (N,); and the share of them on walls (N,).
+
+        ``variance`` (B,) is that of their distances to the walls, ``counts`` (B,) what each of them counts.
+        """
         c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
         x = poses[:, 0, None] + c * points[:, 0] - s * points[:, 1]
         y = poses[:, 1, None] + s * points[:, 0] + c * points[:, 1]
@@ -284,4 +186,4 @@ class ParticleLocalizer:
         likelihood = np.exp(-0.5 * distance**2 / variance)
         # How well it fits is asked with one tolerance, whatever the cloud's is, so that it compares over time.
         fit = np.mean(np.abs(distance) < _FIT_M, axis=1)
-        return np.log(likelihood + self._parameters.particles.outlier_share).sum(axis=1), fit
+        return (counts * np.log(likelihood + self._parameters.particles.outlier_share)).sum(axis=1), fit

@@ -13,8 +13,9 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive, UnitInterval
+from hitchhike_ros.datatypes import FloatArray, Pose2D, Positive, UnitInterval
 from hitchhike_ros.geometry import transform_points
 from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise
@@ -28,10 +29,7 @@ class AlignmentParameters:
 
     max_beams: Count = 150
     max_gap_m: Positive = 0.2  # end points further apart count as this far when beams are spread over the walls
-    wall_sigma_m: Positive = 0.003  # roughness of walls
-    face_error: NonNegative = 0.6  # standard deviation by the greatest error of the field at a face
-    face_bias: NonNegative = 0.5  # of that, averaged over the beams, as an error of the position that they share
-    map_sigma: NonNegative = 0.02  # error of the position, in cells, that all beams of a scan share
+    roughness_m: Positive = 0.003  # of walls; other than the map's errors, it differs from beam to beam
     gate_sigmas: Positive = 3.5
     max_gate_m: Positive = 0.6
     min_explained: UnitInterval = 0.2
@@ -41,16 +39,57 @@ class AlignmentParameters:
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
-    """A scan's measurement of the pose, about the prior mean.
+class Sight:
+    """What a scan shows of the pose.
 
-    ``information`` (3, 3) is its inverse covariance A in (x, y, theta), ``vector`` (3,) = A (measured - mean).
-    ``explained`` is the share of the beams that lie on walls of the map.
+    ``information`` (3, 3) is the inverse covariance A of the pose it measures, in (x, y, theta); ``walls`` (3, 3) the
+    part of that covariance for which the map has to answer and which is the same in the next scans; ``explained`` the
+    share of the beams that lie on walls of the map.
     """
 
     information: FloatArray
-    vector: FloatArray
+    walls: FloatArray
     explained: float
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment(Sight):
+    """A scan's measurement of the pose, about the prior mean: ``vector`` (3,) = A (measured - mean)."""
+
+    vector: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Incidence:
+    """End points of a scan at one pose: ``distance`` (N,) to the walls in m, and its Jacobian ``J`` (N, 3) by the pose.
+
+    ``towards`` (N,) is how much of its range each has along the distance's gradient, ``variance`` (N,) that of the
+    distance, ``wall`` (N,) the part of it that the map has to answer for, ``count`` (N,) how many end points share
+    their cell's face, and ``valid`` (N,) whether there is a wall.
+    """
+
+    distance: FloatArray
+    J: FloatArray
+    towards: FloatArray
+    variance: FloatArray
+    wall: FloatArray
+    count: npt.NDArray[np.int64]
+    valid: npt.NDArray[np.bool_]
+
+    @property
+    def independence(self) -> FloatArray:
+        """What each end point counts (N,), as those on one cell share the error of its face."""
+        return 1.0 / (1.0 + (self.count - 1) * self.wall / self.variance)
+
+    def sight(self, weights: FloatArray, on_walls: npt.NDArray[np.bool_]) -> Sight:
+        """What end points of these weights (N,) show of the pose; ``on_walls`` (N,) says which of them count."""
+        A = (weights[:, None] * self.J).T @ self.J
+        # Of the variance of the mean over one face: with many end points it is the face's alone.
+        share = self.count * self.independence * self.wall / self.variance
+        # Directions that are not measured to a metre or a radian are left to the odometry.
+        mean = np.linalg.inv(A + np.eye(3))
+        walls = mean @ ((weights * share)[:, None] * self.J).T @ self.J @ mean
+        return Sight(A, walls, float(on_walls.mean()))
 
 
 def spread(ends: EndPoints, max_beams: int, max_gap_m: float) -> EndPoints:
@@ -93,31 +132,23 @@ class ScanAlignment:
         ends = spread(ends, p.max_beams, p.max_gap_m)
         if len(ends.points) < p.min_beams:
             return None
-        range_variance = self._noise.sigma(ends.ranges) ** 2
-        rays = (ends.points - origin) / ends.ranges[:, None]
         delta = np.zeros(3)
         inlier = np.ones(len(ends.points), dtype=bool)
         for iteration in range(p.iterations):
             pose = Pose2D(mean.x + delta[0], mean.y + delta[1], mean.theta + delta[2])
-            points = transform_points(pose, ends.points)
-            distance, gradient, valid = self._field.lookup(points)
-            turn = gradient[:, 1] * (points[:, 0] - pose.x) - gradient[:, 0] * (points[:, 1] - pose.y)
-            J = np.column_stack([gradient, turn])
-            towards = np.einsum("ni,ni->n", gradient, transform_points(Pose2D(theta=pose.theta), rays))
-            face_error = self._field.face_error(points)
-            wall_variance = p.wall_sigma_m**2 + (p.face_error * face_error) ** 2
-            variance = range_variance * towards**2 + wall_variance
+            at = self.incidence(ends, origin, pose)
             if iteration == 0:
-                spread_of_prior = np.einsum("ni,ij,nj->n", J, covariance, J)
-                gate = np.minimum(p.gate_sigmas * np.sqrt(variance + spread_of_prior), p.max_gate_m)
+                spread_of_prior = np.einsum("ni,ij,nj->n", at.J, covariance, at.J)
+                gate = np.minimum(p.gate_sigmas * np.sqrt(at.variance + spread_of_prior), p.max_gate_m)
             # At first the whole error of the prior is expected at an end point, later only the noise.
-            scale = variance + spread_of_prior * p.annealing**iteration
+            scale = at.variance + spread_of_prior * p.annealing**iteration
             # A beam that leaves the wall at its end point went through it: that is the wall's back.
-            inlier = valid & (np.abs(distance) < gate) & (towards < 0.2)
-            robust = np.where(inlier, 1.0 / (1.0 + distance**2 / (4.0 * scale)) ** 2, 0.0)
-            weighted = (self._independence(points, wall_variance / variance) * robust / variance)[:, None] * J
-            A = weighted.T @ J
-            b = A @ delta - weighted.T @ np.where(inlier, distance, 0.0)
+            inlier = at.valid & (np.abs(at.distance) < gate) & (at.towards < 0.2)
+            robust = np.where(inlier, 1.0 / (1.0 + at.distance**2 / (4.0 * scale)) ** 2, 0.0)
+            weights = at.independence * robust / at.variance
+            weighted = weights[:, None] * at.J
+            A = weighted.T @ at.J
+            b = A @ delta - weighted.T @ np.where(inlier, at.distance, 0.0)
             step = np.linalg.solve(np.eye(3) + covariance @ A, covariance @ b) - delta
             delta = delta + step
             if abs(step[0]) + abs(step[1]) < 1e-4 and abs(step[2]) < 1e-4:
@@ -125,19 +156,21 @@ class ScanAlignment:
         explained = float(inlier.mean())
         if inlier.sum() < p.min_beams or explained < p.min_explained:
             return None
-        # The errors that the beams share add to the covariance: (A^-1 + B)^-1 = A (I + B A)^-1, A perhaps singular.
-        sigma = np.hypot(p.map_sigma * self._resolution, p.face_bias * float(face_error[inlier].mean()))
-        shared = np.linalg.inv(np.eye(3) + A @ np.diag([sigma**2, sigma**2, 0.0]))
-        return Alignment(shared @ A, shared @ b, explained)
+        sight = at.sight(weights, inlier)
+        return Alignment(sight.information, sight.walls, explained, b)
 
-    def _independence(self, points: FloatArray, shared: FloatArray) -> FloatArray:
-        """What each of the end points (N, 2) counts: those on one cell share the error of its face.
-
-        ``shared`` (N,) is the part of their variance that is the wall's.
-        """
+    def incidence(self, ends: EndPoints, origin: FloatArray, pose: Pose2D) -> Incidence:
+        """How end points seen from ``origin`` (2,), both in ``base_footprint``, lie on the walls at a pose."""
+        points = transform_points(pose, ends.points)
+        rays = (points - transform_points(pose, origin[None])) / ends.ranges[:, None]
+        distance, gradient, valid = self._field.lookup(points)
+        turn = gradient[:, 1] * (points[:, 0] - pose.x) - gradient[:, 0] * (points[:, 1] - pose.y)
+        towards = np.einsum("ni,ni->n", gradient, rays)
+        wall = self._field.face_variance(points)
+        variance = (self._noise.sigma(ends.ranges) * towards) ** 2 + self._parameters.roughness_m**2 + wall
         cells = np.floor(points / self._resolution).astype(np.int64)
         cells -= cells.min(axis=0)
-        _, at, count = np.unique(
-            cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True, return_counts=True
-        )
-        return 1.0 / (1.0 + (count[at] - 1) * shared)
+        keys = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+        _, which, count = np.unique(keys, return_inverse=True, return_counts=True)
+        J = np.column_stack([gradient, turn])
+        return Incidence(distance, J, towards, variance, wall, count[which], valid)

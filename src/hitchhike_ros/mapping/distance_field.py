@@ -13,6 +13,10 @@ from hitchhike_ros.mapping.grid import UNKNOWN, OccupancyGrid, distance_to
 BoolArray = npt.NDArray[np.bool_]
 
 
+# Interpolation rounds corners off, within a cell; therefore cells are cut into parts, along each side.
+_PARTS = 2
+
+
 class DistanceField:
     """Distance in m to the nearest face of a wall: positive before it, negative inside.
 
@@ -23,27 +27,33 @@ class DistanceField:
     """
 
     def __init__(self, grid: OccupancyGrid) -> None:
-        self._grid = grid
-        occupied, res = grid.occupied, grid.resolution
-        unknown = np.equal(grid.data, UNKNOWN)
+        occupied, unknown = grid.occupied, np.equal(grid.data, UNKNOWN)
         behind = unknown & (distance_to(occupied, 1.0) < distance_to(~(occupied | unknown), 1.0))
-        solid = occupied | behind
-        self._face_error = np.zeros(solid.shape)
+        occupied, solid = (
+            cells.repeat(_PARTS, axis=0).repeat(_PARTS, axis=1) for cells in (occupied, occupied | behind)
+        )
+        self._origin, self._resolution = grid.origin, grid.resolution / _PARTS
+        self._face_variance = np.zeros(solid.shape)
         if solid.all() or not occupied.any():
             self._signed = np.zeros(solid.shape)
             self._wall = np.zeros(solid.shape, dtype=bool)
             return
         outside, to_solid = ndimage.distance_transform_edt(~solid, return_indices=True)
         inside, to_free = ndimage.distance_transform_edt(solid, return_indices=True)
-        self._signed = np.where(solid, 0.5 - inside, outside - 0.5) * res
+        self._signed = np.where(solid, 0.5 - inside, outside - 0.5) * self._resolution
         beside_wall = ndimage.binary_dilation(occupied, np.ones((3, 3)))
         self._wall = np.where(solid, beside_wall[tuple(to_free)], occupied[tuple(to_solid)])
         # Between four centres that are not all on one side there is a face, and where it ends the field should be zero.
         four = [(slice(0, -1), slice(0, -1)), (slice(0, -1), slice(1, None)), (slice(1, None), slice(0, -1))]
         four.append((slice(1, None), slice(1, None)))
         low, high = (f([self._signed[k] for k in four], axis=0) for f in (np.min, np.max))
-        error = np.where((low < 0.0) & (high > 0.0), np.abs(np.mean([self._signed[k] for k in four], axis=0)), 0.0)
-        self._face_error[:-1, :-1] = ndimage.maximum_filter(error, 3)
+        face = (low < 0.0) & (high > 0.0)
+        # On each face between them the error falls evenly from there to none: a third of its square in the mean. Noise
+        # takes end points to faces next to theirs, so the mean is over those.
+        squares = np.where(face, np.mean([self._signed[k] for k in four], axis=0) ** 2 / 3.0, 0.0)
+        faces = ndimage.uniform_filter(face.astype(float), 3, mode="constant")
+        mean = ndimage.uniform_filter(squares, 3, mode="constant") / np.maximum(faces, 1.0 / 9.0)
+        self._face_variance[:-1, :-1] = np.maximum(mean, 0.0)
 
     def lookup(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Interpolated field at points (N, 2) in ``map``.
@@ -52,8 +62,8 @@ class DistanceField:
             Distance (N,) in m, its gradient (N, 2) in ``map``, and a mask (N,) of the points that have a wall next to
             them; elsewhere distance and gradient mean nothing.
         """
-        origin, (rows, columns) = self._grid.origin, self._signed.shape
-        local = transform_points(inverse(origin), points) / self._grid.resolution - 0.5
+        origin, (rows, columns) = self._origin, self._signed.shape
+        local = transform_points(inverse(origin), points) / self._resolution - 0.5
         floor = np.floor(local)
         column, row = floor[:, 0].astype(np.int64), floor[:, 1].astype(np.int64)
         on_grid = (column >= 0) & (row >= 0) & (column < columns - 1) & (row < rows - 1)
@@ -63,28 +73,28 @@ class DistanceField:
         d00, d10, d01, d11 = flat[k], flat[k + 1], flat[k + columns], flat[k + columns + 1]
         low, high = d00 + u * (d10 - d00), d01 + u * (d11 - d01)
         gx = (d10 - d00) * (1.0 - v) + (d11 - d01) * v
-        gradient = np.column_stack([gx, high - low]) / self._grid.resolution
+        gradient = np.column_stack([gx, high - low]) / self._resolution
         if origin.theta:
             c, s = np.cos(origin.theta), np.sin(origin.theta)
             gradient = gradient @ np.array([[c, s], [-s, c]])
         valid = on_grid & wall[k] & wall[k + 1] & wall[k + columns] & wall[k + columns + 1]
         return low + v * (high - low), gradient, valid
 
-    def face_error(self, points: FloatArray) -> FloatArray:
-        """How far the field is at most off, (N,) in m, at the wall's face near points (N, 2) in ``map``.
+    def face_variance(self, points: FloatArray) -> FloatArray:
+        """Mean square error of the field, (N,) in m^2, at the faces of walls near points (N, 2) in ``map``.
 
         Interpolation is exact before straight walls and rounds corners off, so ragged walls are known less well.
         """
-        local = transform_points(inverse(self._grid.origin), points) / self._grid.resolution - 0.5
+        local = transform_points(inverse(self._origin), points) / self._resolution - 0.5
         rows, columns = self._signed.shape
         column = np.clip(np.floor(local[:, 0]).astype(np.int64), 0, columns - 1)
         row = np.clip(np.floor(local[:, 1]).astype(np.int64), 0, rows - 1)
-        return self._face_error[row, column]
+        return self._face_variance[row, column]
 
     def distances(self, points: FloatArray) -> FloatArray:
         """Only the distance (N,) in m at points (N, 2) in ``map``, for many points; infinite where there is no wall."""
         rows, columns = self._signed.shape
-        local = transform_points(inverse(self._grid.origin), points) / self._grid.resolution - 0.5
+        local = transform_points(inverse(self._origin), points) / self._resolution - 0.5
         column, row = np.floor(local).astype(np.int64).T
         on_grid = (column >= 0) & (row >= 0) & (column < columns - 1) & (row < rows - 1)
         k = np.where(on_grid, row * columns + column, 0)

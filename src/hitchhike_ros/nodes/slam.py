@@ -62,8 +62,8 @@ from tf2_ros import TransformBroadcaster
 from hitchhike_ros.datatypes import LaserScan, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.errors import HitchhikeError, MessageError, ParameterError, SensorDataError
 from hitchhike_ros.geometry import compose, inverse, pose_from_matrix
-from hitchhike_ros.localization.localizer import LocalizerParameters
-from hitchhike_ros.localization.methods import Localizer, Method, make_localizer
+from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
+from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.localization.particle_localizer import ParticleLocalizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper

@@ -21,8 +21,8 @@ from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_lin
 from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.errors import PlanningError
 from hitchhike_ros.geometry import pose_from_matrix
-from hitchhike_ros.localization.localizer import LocalizerParameters
-from hitchhike_ros.localization.methods import Localizer, Method, make_localizer
+from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
+from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
