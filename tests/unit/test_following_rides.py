@@ -10,7 +10,8 @@ import pytest
 from simulated_room import PACKAGE
 
 from hitchhike_ros.datatypes import Pose2D
-from hitchhike_ros.experiments.bench_following import lost_figures, ride_figures
+from hitchhike_ros.experiments.bench_following import coupling_figures, lost_figures, ride_figures
+from hitchhike_ros.experiments.couplings import WALL, CouplingResult
 from hitchhike_ros.experiments.following_rides import (
     CORNERS,
     DRIVER,
@@ -115,3 +116,17 @@ def test_every_mishap_begins_now_and_concerns_one_of_the_pair() -> None:
             assert isinstance(fault, Fault)
             assert (fault.start_s, fault.robot in (DRIVER, RIDER)) == (10.0, True)
             assert fault.end_s > 10.5
+
+
+@pytest.mark.parametrize(
+    ("couple_s", "decouple_s", "contacts", "broken"),
+    [
+        (11.0, 1.0, (), []),
+        (13.0, 1.0, (), ["coupling by the left wall, from any heading: median"]),
+        (11.0, None, (), ["decoupling by the left wall, from any heading: median"]),
+        (11.0, 1.0, ("driver and walls at 3.0 s",), ["coupling by the left wall, from any heading: contacts"]),
+    ],
+)
+def test_couplings_are_judged_by_their_medians_and_none_may_fail(couple_s, decouple_s, contacts, broken) -> None:
+    results = tuple(CouplingResult(seed, couple_s, decouple_s, contacts) for seed in range(3))
+    assert [figure.name for figure in coupling_figures(WALL, results) if figure.ok is False] == broken

@@ -1,4 +1,4 @@
-"""Following: straight, fast, round corners and through an S; and drivers that are lost on the way."""
+"""Following: coupling and decoupling; straight, fast, round corners and through an S; drivers lost on the way."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from hitchhike_ros.experiments.benchmark import Options, Progress
+from hitchhike_ros.experiments.couplings import MARKER, WALL, CouplingResult, Place, couple
 from hitchhike_ros.experiments.figures import Figure
 from hitchhike_ros.experiments.following_rides import CORNERS, FAST, S_BEND, STRAIGHT, Course, RideResult, ride
 from hitchhike_ros.experiments.lost_drivers import RIDES_ON_S, LostResult, lose
@@ -15,6 +16,9 @@ from hitchhike_ros.experiments.parallel import run_all
 
 _SEEDS, _QUICK = 20, 1
 _LOST_SEEDS, _LOST_QUICK = 50, 7  # one of each kind when quick
+# Bounds of medians, in s, and what the paper's real robots took without boxes (P17 Table 2).
+_COUPLE_S, _DECOUPLE_S = {MARKER: 6.0, WALL: 12.0}, 4.0
+_PAPER_COUPLE_S, _PAPER_DECOUPLE_S = {MARKER: 15.0, WALL: 33.0}, {MARKER: 17.67, WALL: 19.0}
 _STRAIGHT_GAP_M, _STRAIGHT_LATERAL_M, _CORNER_LATERAL_M = 0.03, 0.04, 0.10
 
 
@@ -25,10 +29,16 @@ def run(options: Options, progress: Progress) -> list[Figure]:
         seeds = range(options.seed, options.seed + (_QUICK if options.quick else _SEEDS))
         return run_all(course.name, partial(ride, options.package, course), seeds, progress)
 
+    def couplings(place: Place) -> tuple[CouplingResult, ...]:
+        seeds = range(options.seed, options.seed + (_QUICK if options.quick else _SEEDS))
+        return run_all(f"coupling {place.name}", partial(couple, options.package, place), seeds, progress)
+
+    coupled = {place: couplings(place) for place in (MARKER, WALL)}
     straight, fast, corners, s_bend = (rides(course) for course in (STRAIGHT, FAST, CORNERS, S_BEND))
     seeds = range(options.seed, options.seed + (_LOST_QUICK if options.quick else _LOST_SEEDS))
     lost = run_all("drivers lost", partial(lose, options.package), seeds, progress)
     return [
+        *(figure for place, results in coupled.items() for figure in coupling_figures(place, results)),
         *ride_figures(STRAIGHT, straight),
         Figure(f"{STRAIGHT.name}: gap error, RMS", _worst(r.gap_rms_m for r in straight), "m", _STRAIGHT_GAP_M),
         Figure(f"{STRAIGHT.name}: lateral, RMS", _worst(r.lateral_rms_m for r in straight), "m", _STRAIGHT_LATERAL_M),
@@ -42,6 +52,22 @@ def run(options: Options, progress: Progress) -> list[Figure]:
         Figure(f"{S_BEND.name}: gap error, RMS", _worst(r.gap_rms_m for r in s_bend), "m"),
         *lost_figures(lost),
     ]
+
+
+def coupling_figures(place: Place, results: tuple[CouplingResult, ...]) -> list[Figure]:
+    """Medians over the runs; None where a run did not come so far, which no bound forgives."""
+    rows = (
+        ("coupling", [r.couple_s for r in results], _COUPLE_S[place], _PAPER_COUPLE_S[place]),
+        ("decoupling", [r.decouple_s for r in results], _DECOUPLE_S, _PAPER_DECOUPLE_S[place]),
+    )
+    figures = []
+    for step, values, bound, paper in rows:
+        known = [value for value in values if value is not None]
+        median = float(np.median(known)) if known and len(known) == len(values) else None
+        figures.append(Figure(f"{step} {place.name}: median", median, "s", bound, peer=paper))
+        figures.append(Figure(f"{step} {place.name}: longest", _worst(values), "s"))
+    figures.append(Figure(f"coupling {place.name}: contacts", float(sum(len(r.contacts) for r in results)), "", 0.0))
+    return figures
 
 
 def ride_figures(course: Course, rides: tuple[RideResult, ...]) -> list[Figure]:
