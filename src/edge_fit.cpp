@@ -32,6 +32,8 @@ constexpr double correlation_px = 2.0;
 // without mixed pixels: either end of it is known to a pixel only. Cameras mix (0.35 and more of tags drawn as a camera
 // sees them), renderers need not (0.17 at most).
 constexpr double sharp = 0.18, soft = 0.30, pixel_variance = 1.0 / 12;
+// White that the sensor clips has its edge moved outwards, by how much depends on how bright it was (chosen).
+constexpr double clipped_grey = 254.5, clipped_variance = 0.05 * 0.05;
 
 bool inside(const Image &image, double u, double v) {
   return u >= 0 && v >= 0 && u < static_cast<double>(image.shape(1) - 1) && v < static_cast<double>(image.shape(0) - 1);
@@ -68,7 +70,7 @@ bool fit(const Image &image, Side &side, double reach) {
   const int n = std::clamp(static_cast<int>(span), min_sites, max_sites);
   constexpr double step = 0.5;
   const int half = std::max(2, static_cast<int>(std::lround(reach / step)));
-  double width = 0;
+  double width = 0, clipped = 0;
   std::vector<double> s, t, profile(static_cast<std::size_t>(2 * half + 3));
   for (int k = 0; k < n; ++k) {
     const double along = margin * side.length + span * (k + 0.5) / n, middle = side.a + side.b * along;
@@ -90,6 +92,7 @@ bool fit(const Image &image, Side &side, double reach) {
     if (sum * step < min_contrast) continue;
     s.push_back(along);
     t.push_back(middle + moment / sum);
+    if (*std::max_element(profile.begin(), profile.end()) > clipped_grey) ++clipped;
     width += second / sum - moment * moment / (sum * sum);
   }
   std::vector<char> good(s.size(), 1);
@@ -113,11 +116,13 @@ bool fit(const Image &image, Side &side, double reach) {
     side.var_b = shared / ss;
     side.cov_ab = -ms * side.var_b;
     side.var_a = shared / m + ms * ms * side.var_b;
-    const double unmixed =
-        pixel_variance * std::clamp((soft - width / static_cast<double>(s.size())) / (soft - sharp), 0.0, 1.0);
-    side.var_a += unmixed;
-    side.cov_ab -= unmixed / side.length;
-    side.var_b += 2 * unmixed / (side.length * side.length);
+    // Of either end of the side.
+    const double found = static_cast<double>(s.size());
+    const double common = pixel_variance * std::clamp((soft - width / found) / (soft - sharp), 0.0, 1.0) +
+                          clipped_variance * clipped / found;
+    side.var_a += common;
+    side.cov_ab -= common / side.length;
+    side.var_b += 2 * common / (side.length * side.length);
     if (pass == 2) break;
     const double limit = std::max(outlier * std::sqrt(variance), 0.05);
     for (std::size_t i = 0; i < s.size(); ++i) good[i] = std::fabs(t[i] - side.a - side.b * s[i]) <= limit;

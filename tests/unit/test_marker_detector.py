@@ -253,6 +253,19 @@ def test_a_plate_that_leans_much_keeps_its_least_squares_pose():
     assert any(np.array_equal(seen.T_camera_marker, s.T_camera_marker) for s in detections[0].solutions)
 
 
+@pytest.mark.parametrize("lean", [15.0, -15.0])
+def test_a_plate_that_leans_far_off_is_not_taken_for_an_upright_one(lean):
+    """Its lean says how it is turned: a posterior that starts upright would end beside it, and be sure."""
+    rng = np.random.default_rng(1)
+    detector = MarkerDetector(MarkerDetectorParameters(corner_sigma_px=0.06, upright_sigma_rad=0.2))
+    T = images.marker_pose(3.0, math.radians(5.0), math.radians(lean), 0.5, math.copysign(0.3, -lean))
+    for i in range(12):
+        [least_squares] = detections = detections_with_noise(detector, T, 0.06, rng)
+        [seen] = detector.resolve(detections, T_BASE_CAMERA, LONG * i)
+        error = angle_between(seen.T_camera_marker[:3, :3], T[:3, :3])
+        assert error < 3.0 * angle_between(least_squares.T_camera_marker[:3, :3], T[:3, :3]) + 0.02
+
+
 def test_previous_image_decides_between_two_poses():
     """A driver seen askew that draws away to 3 m: alone, some frames flip; in sequence, none does."""
     rng = np.random.default_rng(4)

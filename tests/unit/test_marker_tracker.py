@@ -191,6 +191,19 @@ def test_a_side_drawn_without_mixed_pixels_is_known_to_a_pixel():
     assert np.sqrt(np.diag(covariance)).max() < 0.02
 
 
+def test_clipped_white_is_owned_up_to():
+    image = np.full((200, 200), 250, np.uint8)
+    image[50:150, 50:150] = 20
+    corners = np.array([[50.0, 150.0], [150.0, 150.0], [150.0, 50.0], [50.0, 50.0]]) - 0.5
+    soft = cv2.GaussianBlur(image, (0, 0), 0.8)
+    _, unclipped = _visp_tracker.fit_square(soft, corners, 3.0, 2.0)
+    bright = np.minimum(soft.astype(float) * 1.3, 255.0).astype(np.uint8)
+    found, clipped = _visp_tracker.fit_square(bright, corners, 3.0, 2.0)
+    assert np.abs(found - corners).max() > 0.03
+    assert np.sqrt(np.diag(unclipped)).max() < 0.01
+    assert np.sqrt(np.diag(clipped)).min() > 0.04
+
+
 def test_no_square_no_corners():
     corners = np.array([[50.0, 150.0], [150.0, 150.0], [150.0, 50.0], [50.0, 50.0]])
     assert _visp_tracker.fit_square(np.full((200, 200), 100, np.uint8), corners, 3.0, 2.0) is None

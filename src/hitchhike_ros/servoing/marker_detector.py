@@ -43,7 +43,7 @@ _PLACES = 21
 _SEEK_PX, _MEASURE_CELLS, _MEASURE_PX = 3.0, 0.35, (0.75, 2.0)
 # What the scatter does not tell of a corner's error in px: rounding, and the pattern inside, whose blur reaches the
 # side where cells are small (px⁴). Measured on rendered tags.
-_FLOOR_PX, _BLURRED_PX = 0.0095, 1.4
+_FLOOR_PX, _BLURRED_PX = 0.0085, 1.25
 # A plate that is not upright at all, -2 log likelihood: one in some hundred is mounted otherwise (chosen).
 _NOT_UPRIGHT = 12.0
 

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from hitchhike_ros.datatypes import FloatArray
-from hitchhike_ros.geometry import pose_from_matrix, wrap_angle
 
 # Corners (4, 3) of a marker of side 2 in its frame, in the order in which they are detected.
 UNIT_CORNERS = np.array([[0.0, -1.0, -1.0], [0.0, 1.0, -1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
@@ -138,7 +137,8 @@ def square_on_poses(
     sight = T_base_marker[:3, 3] - T_base_camera[:3, 3]
     square_on = math.atan2(-sight[1], -sight[0])
     flat = flat_yaw(view, float(start[2, 3]))
-    if abs(wrap_angle(pose_from_matrix(T_base_marker).theta - square_on)) > flat:
+    cosine = -float(start[:3, 0] @ start[:3, 3]) / float(np.linalg.norm(start[:3, 3]))
+    if math.acos(min(cosine, 1.0)) > flat:  # turned or leaning by so much it is well determined
         return ()
     upside = math.copysign(1.0, T_base_marker[2, 2])
     # Parameters (N, 6): translation along the camera's axes, then roll, pitch and yaw in the base frame.
