@@ -62,3 +62,31 @@ def test_a_map_without_walls_has_no_valid_field():
             np.full((1, 2), 0.45)
         )
         assert not valid.any()
+
+
+def test_faces_are_uncertain_where_they_end():
+    """Beside a straight face the field is exact; at the end of one it is off by up to 0.35 of half a cell."""
+    data = np.zeros((30, 40), dtype=np.int8)
+    data[10:20, 10:30] = 100
+    field = DistanceField(OccupancyGrid(data, 0.1))
+    points = np.array([[2.0, 1.0], [1.0, 1.5], [1.0, 1.0], [3.0, 2.0]])
+    assert (field.lookup(points)[2]).all()
+    off = field.lookup(points)[0]
+    np.testing.assert_allclose(off[:2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(off[2:], 0.3536 * 0.05, atol=1e-5)
+    variance = field.face_variance(points)
+    np.testing.assert_allclose(variance[:2], 0.0, atol=1e-12)
+    # A ninth to a third of the square of the greatest error, by how many straight faces are beside it.
+    assert ((variance[2:] > off[2:] ** 2 / 9.1) & (variance[2:] < off[2:] ** 2 / 3.0)).all()
+
+
+def test_distances_seen_from_many_poses_are_those_of_the_points():
+    origin, rng = Pose2D(1.0, -2.0, 0.4), np.random.default_rng(1)
+    field = DistanceField(room(origin))
+    base = transform_points(origin, rng.uniform([0.3, 0.6], [2.5, 2.5], (20, 2)))
+    poses, points = np.column_stack([base, rng.uniform(-4.0, 4.0, 20)]), rng.uniform(-1.0, 1.0, (30, 2))
+    distances = field.distances(poses, points)
+    for pose, row in zip(poses, distances, strict=True):
+        expected, _, valid = field.lookup(transform_points(Pose2D(*pose), points))
+        np.testing.assert_allclose(row[valid], expected[valid], atol=1e-9)
+    assert 0.5 < np.isfinite(distances).mean() < 1.0

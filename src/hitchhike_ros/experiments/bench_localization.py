@@ -157,18 +157,18 @@ def _localizer(method: Method, drive: Drive) -> Localizer:
 
 def _mrclam(options: Options, progress: Progress) -> list[Figure]:
     """Peer of each is dead reckoning; no value where the data is missing."""
-    folder, name = options.data / "mrclam", "MRCLAM robot 1: mean position error"
+    folder, name = options.data / "mrclam", "MRCLAM robot 1, mean position error beside dead reckoning"
     cases = (("known", "known landmarks", 0.15), ("signature", "most likely by range, bearing, barcode", 0.25))
     more = (*cases, ("blind", "most likely by range and bearing", 0.25))
     if not folder.is_dir():
-        return [Figure(f"{name}, {text} (no data)", None, "m") for _, text, _ in more]
+        return [Figure(f"{name}: {text} (no data)", None, "m") for _, text, _ in more]
     progress("MRCLAM", 0, len(more))
     log = read_run(folder)
     lost = evaluate(log, "none").mean_position_error_m
     figures = []
     for done, (association, text, bound) in enumerate(more, 1):
         score = evaluate(log, association)  # type: ignore[arg-type]
-        figures.append(Figure(f"{name}, {text}", score.mean_position_error_m, "m", bound, peer=lost))
+        figures.append(Figure(f"{name}: {text}", score.mean_position_error_m, "m", bound, peer=lost))
         progress("MRCLAM", done, len(more))
     return figures
 

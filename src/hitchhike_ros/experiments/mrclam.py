@@ -16,15 +16,16 @@ import numpy as np
 from hitchhike_ros.datatypes import FloatArray, Pose2D, Positive, Twist2D
 from hitchhike_ros.errors import InputFileError
 from hitchhike_ros.geometry import wrap_angle
-from hitchhike_ros.localization.ekf import GATE_3, Ekf, EkfParameters, LandmarkObservation, Landmarks
+from hitchhike_ros.localization.ekf import Ekf, EkfParameters, LandmarkObservation, Landmarks
 from hitchhike_ros.localization.motion import MotionNoise, move
 
 Association = Literal["none", "known", "signature", "blind"]
 
 # Subjects 1-5 are robots, the others landmarks (Barcodes.dat).
 _FIRST_LANDMARK = 6
-# Chi-square quantile at 90 % for 2 degrees of freedom: range and bearing.
-_TIGHT_GATE_2 = 4.61
+# Chi-square quantiles at 95 %, as is usual for association (Neira and Tardos, 2001), for range and bearing alone and
+# with a signature.
+_GATE_2, _GATE_3 = 5.99, 7.81
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class MrclamParameters:
     range_sigma_ratio: Positive = 0.05  # grows with the range, in quadrature
     bearing_sigma_rad: Positive = 0.03
     signature_sigma: Positive = 0.1  # barcodes are whole numbers: another one is never the same landmark
-    gate: Positive = GATE_3
-    blind_gate: Positive = _TIGHT_GATE_2  # landmarks stand 0.2 m apart: what fits none of them well tells none apart
+    gate: Positive = _GATE_3
+    blind_gate: Positive = _GATE_2
     max_hold_s: Positive = 2.0  # a velocity is taken to last until the next reading, but no longer
 
 

@@ -100,8 +100,8 @@ def module_names(modules: ModuleSwitches) -> str:
     return " ".join(name if on else name.lower() for name, on in asdict(modules).items())
 
 
-def figure_table(figures: Sequence[Figure], colours: bool) -> str:
-    """Every figure beside the paper's, with its bound."""
+def figure_table(figures: Sequence[Figure], colours: bool, peer: str = "paper") -> str:
+    """Every figure beside its peer's, which are the paper's unless said otherwise, with its bound."""
     rows: list[list[Cell]] = [
         [
             _label(figure),
@@ -113,7 +113,7 @@ def figure_table(figures: Sequence[Figure], colours: bool) -> str:
         ]
         for figure in figures
     ]
-    return table("Figures", ["ours", "paper", "ratio", "bound", ""], rows, colours)
+    return table("Figures", ["ours", peer, "ratio", "bound", ""], rows, colours)
 
 
 def box_table(matches: Sequence[BoxMatch], colours: bool) -> str:

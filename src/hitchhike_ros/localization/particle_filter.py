@@ -46,6 +46,7 @@ class ParticleParameters:
     alpha_slow: UnitInterval = 0.005  # w_slow and w_fast of the augmented filter, per scan
     alpha_fast: UnitInterval = 0.2
     lost_ratio: UnitInterval = 0.95  # w_fast by w_slow below which other poses are tried
+    poor_fit: UnitInterval = 0.75  # w_fast below which they are tried as well
     near_m: Positive = 4.0  # half of them about here, as robots are seldom carried far ...
     near_rad: Positive = 0.1
     look_every: Annotated[int, msgspec.Meta(ge=1)] = 10  # scans, while nothing is wrong
@@ -150,7 +151,7 @@ class ParticleFilter:
         mean, _ = moments(self.poses[members], self.weights[members])
         away = self.poses - mean
         away[:, 2] = wrap_angles(away[:, 2])
-        return Pose2D(*mean.tolist()), np.einsum("n,ni,nj->ij", self.weights, away, away)
+        return Pose2D(*mean.tolist()), (self.weights[:, None] * away).T @ away
 
     def resample(self) -> None:
         """Low-variance resampling where too few particles are effective, to the number that their spread needs."""
@@ -203,7 +204,7 @@ def moments(poses: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatAr
     mean[2] = math.atan2(w @ np.sin(poses[:, 2]), w @ np.cos(poses[:, 2]))
     away = poses - mean
     away[:, 2] = wrap_angles(away[:, 2])
-    return mean, np.einsum("n,ni,nj->ij", w, away, away)
+    return mean, (w[:, None] * away).T @ away
 
 
 def _low_variance(weights: FloatArray, size: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:

@@ -39,7 +39,7 @@ class ParticleLocalizer(Localizer):
         self._field = DistanceField(grid)
         self._alignment = ScanAlignment(self._field, grid.resolution, parameters.laser, parameters.alignment)
         self._free = grid.cell_to_world(np.argwhere(grid.data == FREE))
-        self._resolution = grid.resolution
+        self._grid = grid
         self._rng = np.random.default_rng(parameters.particles.seed)
         self._cloud = ParticleFilter(parameters.ekf.motion, parameters.particles, self._rng)
         self._slow = self._fast = 0.0  # w_slow and w_fast: how well scans fit in the long run and of late
@@ -123,18 +123,18 @@ class ParticleLocalizer(Localizer):
 
     def _random_poses(self, size: int) -> FloatArray:
         cells = self._free[self._rng.integers(len(self._free), size=size)]
-        within = self._resolution * (self._rng.random((size, 2)) - 0.5)
+        within = self._grid.resolution * (self._rng.random((size, 2)) - 0.5)
         return np.column_stack([cells + within, self._rng.uniform(-math.pi, math.pi, size)])
 
     def _near_poses(self, about: Pose2D, size: int) -> FloatArray:
-        """Poses in free space about one, with its heading, more or less."""
+        """At most ``size`` poses in free space about one, with its heading, more or less."""
         p = self._parameters.particles
-        away = np.hypot(*(self._free - (about.x, about.y)).T)
-        near = np.exp(-0.5 * (away / p.near_m) ** 2)
-        if near.sum() < 1e-6:
-            return self._random_poses(size)
-        cells = self._free[np.searchsorted(np.cumsum(near) / near.sum(), self._rng.random(size)).clip(0, len(near) - 1)]
-        return np.column_stack([cells, about.theta + p.near_rad * self._rng.standard_normal(size)])
+        points = self._rng.normal((about.x, about.y), p.near_m, (4 * size, 2))
+        cells = self._grid.world_to_cell(points)
+        inside = self._grid.in_bounds(cells)
+        inside[inside] = self._grid.data[tuple(cells[inside].T)] == FREE
+        points = points[inside][:size]
+        return np.column_stack([points, self._rng.normal(about.theta, p.near_rad, len(points))])
 
     def _recover(self, ends: EndPoints, origin: FloatArray) -> None:
         """Where the cloud fits worse of late, or is spread, look for a pose that fits better and put particles there.
@@ -144,7 +144,8 @@ class ParticleLocalizer(Localizer):
         """
         p = self._parameters.particles
         self._scans += 1
-        well = self._fast >= p.lost_ratio * self._slow and self._cloud.is_one_cluster
+        fits = self._fast >= max(p.lost_ratio * self._slow, p.poor_fit)
+        well = fits and self._cloud.is_one_cluster
         # In a bare corridor another place fits as well until the robot has driven on: look now and then all the same.
         if well and self._scans % p.look_every:
             return
@@ -179,10 +180,7 @@ class ParticleLocalizer(Localizer):
 
         ``variance`` (B,) is that of their distances to the walls, ``counts`` (B,) what each of them counts.
         """
-        c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
-        x = poses[:, 0, None] + c * points[:, 0] - s * points[:, 1]
-        y = poses[:, 1, None] + s * points[:, 0] + c * points[:, 1]
-        distance = self._field.distances(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
+        distance = self._field.distances(poses, points)
         likelihood = np.exp(-0.5 * distance**2 / variance)
         # How well it fits is asked with one tolerance, whatever the cloud's is, so that it compares over time.
         fit = np.mean(np.abs(distance) < _FIT_M, axis=1)

@@ -40,22 +40,24 @@ class AlignmentParameters:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a scan shows of the pose.
+    """What a scan shows of the walls.
 
-    ``information`` (3, 3) is the inverse covariance A of the pose it measures, in (x, y, theta); ``walls`` (3, 3) the
-    part of that covariance for which the map has to answer and which is the same in the next scans; ``explained`` the
-    share of the beams that lie on walls of the map.
+    ``walls`` (3, 3) is the covariance that the errors of the map have on the pose in (x, y, theta), the same in the
+    next scans; ``explained`` the share of the beams that lie on walls.
     """
 
-    information: FloatArray
     walls: FloatArray
     explained: float
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment(Sight):
-    """A scan's measurement of the pose, about the prior mean: ``vector`` (3,) = A (measured - mean)."""
+    """A scan's measurement of the pose, about the prior mean.
 
+    ``information`` (3, 3) is its inverse covariance A in (x, y, theta), ``vector`` (3,) = A (measured - mean).
+    """
+
+    information: FloatArray
     vector: FloatArray
 
 
@@ -82,14 +84,14 @@ class Incidence:
         return 1.0 / (1.0 + (self.count - 1) * self.wall / self.variance)
 
     def sight(self, weights: FloatArray, on_walls: npt.NDArray[np.bool_]) -> Sight:
-        """What end points of these weights (N,) show of the pose; ``on_walls`` (N,) says which of them count."""
+        """What end points show that measure a pose with weights (N,); ``on_walls`` (N,) says which of them count."""
         A = (weights[:, None] * self.J).T @ self.J
         # Of the variance of the mean over one face: with many end points it is the face's alone.
         share = self.count * self.independence * self.wall / self.variance
         # Directions that are not measured to a metre or a radian are left to the odometry.
         mean = np.linalg.inv(A + np.eye(3))
         walls = mean @ ((weights * share)[:, None] * self.J).T @ self.J @ mean
-        return Sight(A, walls, float(on_walls.mean()))
+        return Sight(walls, float(on_walls.mean()))
 
 
 def spread(ends: EndPoints, max_beams: int, max_gap_m: float) -> EndPoints:
@@ -153,11 +155,10 @@ class ScanAlignment:
             delta = delta + step
             if abs(step[0]) + abs(step[1]) < 1e-4 and abs(step[2]) < 1e-4:
                 break
-        explained = float(inlier.mean())
-        if inlier.sum() < p.min_beams or explained < p.min_explained:
+        if inlier.sum() < p.min_beams or inlier.mean() < p.min_explained:
             return None
         sight = at.sight(weights, inlier)
-        return Alignment(sight.information, sight.walls, explained, b)
+        return Alignment(sight.walls, sight.explained, A, b)
 
     def incidence(self, ends: EndPoints, origin: FloatArray, pose: Pose2D) -> Incidence:
         """How end points seen from ``origin`` (2,), both in ``base_footprint``, lie on the walls at a pose."""

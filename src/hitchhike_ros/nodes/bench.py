@@ -51,7 +51,7 @@ def main() -> None:
         except HitchhikeError as exc:
             sys.exit(f"bench {name}: {exc}")
         _clear()
-        print(f"{name}\n{figure_table(figures[name], has_colours(sys.stdout))}\n", flush=True)
+        print(f"{name}\n{figure_table(figures[name], has_colours(sys.stdout), 'peer')}\n", flush=True)
     if arguments.json is not None:
         versions = {"python": platform.python_version(), "machine": platform.machine()}
         report = {"versions": versions, "seed": options.seed, "quick": options.quick, "figures": figures}
