@@ -51,7 +51,7 @@ class ParticleParameters:
     near_rad: Positive = 0.1
     look_every: Annotated[int, msgspec.Meta(ge=1)] = 10  # scans, while nothing is wrong
     candidates: Count = 600  # random poses that are tried ...
-    aligned: Count = 2  # ... and how many of the likeliest of each half are aligned
+    aligned: Annotated[int, msgspec.Meta(ge=1)] = 1  # ... and how many of the likeliest of each half are aligned
     better_fit: UnitInterval = 0.03  # by which share of the beams such a pose must fit better
     random_share: UnitInterval = 0.2  # of the particles that go there
     seed: int = 0

@@ -6,7 +6,7 @@ seen has a status, and no pose.
 
 Alone it stands in for visp_auto_tracker and apriltag_ros, with one marker of any camera that has been calibrated:
 
-    rosrun hitchhike_ros visual_servoing _always_on:=true _family:=36h11 _marker_id:=0 _marker_size_m:=0.16 \
+    rosrun hitchhike_ros visual_servoing _always_on:=true _family:=36h11 _marker_id:=0 _marker_size_m:=0.16 \\
         camera/image_raw:=/usb_cam/image_raw camera/camera_info:=/usb_cam/camera_info
 
 Subscribed:
