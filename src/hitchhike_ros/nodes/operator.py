@@ -14,7 +14,8 @@ Parameters:
     ~position_sigma_m (0.05), ~heading_sigma_rad (0.03): error of the start poses
     ~seed (int, 0): of that error
     ~goals (mapping, default empty): other goals than the world file's, {robot: {x, y, theta}}
-    ~deadline_s (wall time, 120): how long it waits for a robot to localize
+    ~watcher (string, default none): a node that keeps what the robots say; it must listen before anything starts
+    ~deadline_s (wall time, 120): how long it waits for that, and for the robots to localize
 TF: none.
 """
 
@@ -23,8 +24,10 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections.abc import Iterable
 
 import numpy as np
+import rosgraph
 import rospy
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 
@@ -58,11 +61,24 @@ class Operator:
             for name, spec in world.robots.items()
             if name in chosen
         ]
+        watcher = str(rospy.get_param("~watcher", ""))
+        topics = [f"/{robot.name}/hhike_msg/status" for robot in robots]
+        while watcher and not rospy.is_shutdown() and not _listens(watcher, topics):
+            if time.monotonic() > deadline:
+                raise HitchhikeError(f"{watcher}: does not listen to the robots within ~deadline_s")
+            time.sleep(_RETRY_S)
         while not rospy.is_shutdown() and (waiting := [robot.name for robot in robots if not robot.insist()]):
             if time.monotonic() > deadline:
                 raise HitchhikeError(f"{', '.join(waiting)}: not ready within ~deadline_s")
             time.sleep(_RETRY_S)
         rospy.signal_shutdown("goals given")
+
+
+def _listens(node: str, topics: Iterable[str]) -> bool:
+    """Whether a node has subscribed to all of the topics."""
+    _, subscriptions, _ = rosgraph.Master(rospy.get_name()).getSystemState()
+    listeners = dict(subscriptions)
+    return all(node in listeners.get(topic, ()) for topic in topics)
 
 
 class _Robot:
