@@ -28,6 +28,9 @@ class _Observations:
     markers: tuple[_Marker, ...]
 
 
+_DECODER = msgspec.json.Decoder(_Observations)  # made once, as in status.py
+
+
 def encode_observations(stamp: float, observations: Iterable[MarkerObservation]) -> str:
     """The markers seen in the image of time ``stamp``; an image without markers is said too."""
     markers = tuple(
@@ -39,7 +42,7 @@ def encode_observations(stamp: float, observations: Iterable[MarkerObservation])
 def decode_observations(text: str) -> tuple[MarkerObservation, ...]:
     """Raises MessageError where the text is none."""
     try:
-        seen = msgspec.json.decode(text, type=_Observations)
+        seen = _DECODER.decode(text)
     except msgspec.MsgspecError as exc:
         raise MessageError(f"visual_servoing/observations: {exc}") from exc
     return tuple(

@@ -101,6 +101,10 @@ class Status:
 CARRYING_STATES = frozenset({"driving", "waiting_for_rider"})
 
 
+# Made once: msgspec crashes when two threads ask for the decoder of a type at the same time for the first time.
+_DECODER = msgspec.json.Decoder(Status)
+
+
 def encode_status(status: Status) -> str:
     """``status`` as JSON."""
     return msgspec.json.encode(status).decode()
@@ -109,6 +113,6 @@ def encode_status(status: Status) -> str:
 def decode_status(text: str) -> Status:
     """The status in a JSON text; raises MessageError where it is none."""
     try:
-        return msgspec.json.decode(text, type=Status)
+        return _DECODER.decode(text)
     except msgspec.MsgspecError as exc:
         raise MessageError(f"hhike_msg/status: {exc}") from exc
