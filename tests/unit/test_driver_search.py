@@ -5,23 +5,14 @@ from __future__ import annotations
 import math
 
 import pytest
+from flat_world import TURTLEBOT as LIMITS
 
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.geometry import compose, wrap_angle
-from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.trail import Trail
 
-LIMITS = RobotLimits(
-    wheel_separation_m=0.23,
-    wheel_radius_m=0.035,
-    front_m=0.176,
-    rear_m=0.176,
-    half_width_m=0.176,
-    max_speed_mps=0.7,
-    max_yaw_rate_rps=3.14,
-)
 P, DT = FollowParameters(), 0.1
 
 

@@ -7,28 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from flat_world import TURTLEBOT as LIMITS
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchhike_ros.datatypes import MarkerObservation, Odometry, Pose2D, Twist2D
 from hitchhike_ros.errors import SensorDataError
 from hitchhike_ros.geometry import between, compose, wrap_angle
-from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.servoing.driver_estimate import DriverEstimate
 from hitchhike_ros.servoing.follow import Decision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import saturate
 from hitchhike_ros.servoing.trail import Trail
 
-LIMITS = RobotLimits(
-    wheel_separation_m=0.23,
-    wheel_radius_m=0.035,
-    front_m=0.176,
-    rear_m=0.176,
-    half_width_m=0.176,
-    max_speed_mps=0.7,
-    max_yaw_rate_rps=3.14,
-)
 CAMERA_X, MARKER_OFFSET, GAP, DT, FRAME = 0.1, 0.3, 0.8, 0.02, 0.1
 
 

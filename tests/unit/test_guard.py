@@ -6,23 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from flat_world import TURTLEBOT as LIMITS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchhike_ros.datatypes import LaserScan, Pose2D, Twist2D
-from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.servoing.guard import Guard
 
-LIMITS = RobotLimits(
-    wheel_separation_m=0.23,
-    wheel_radius_m=0.035,
-    front_m=0.176,
-    rear_m=0.176,
-    half_width_m=0.176,
-    max_speed_mps=0.7,
-    max_yaw_rate_rps=3.14,
-    radius_m=0.176,
-)
 LASER = Pose2D(0.1)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, fields, is_dataclass
 from types import UnionType
@@ -178,3 +180,14 @@ def test_fuzzed_fields_are_read_or_refused(message: Message, data: st.DataObject
         assert isinstance(decode(text), Message)
     except MessageError as exc:
         assert str(exc)
+
+
+def test_every_type_is_ready_before_threads_decode_it() -> None:
+    """msgspec 0.22 crashes when two threads are the first to use a dataclass; what it has made is kept on the class."""
+    code = (
+        "from hitchhike_ros.protocol import messages, observations, status as s\n"
+        "types = [*messages.MESSAGE_TYPES.values(), messages.NewObstacles, s.Status, s.GoalCommand, s.KnownRobot]\n"
+        "print([t.__name__ for t in types if '__msgspec_cache__' not in vars(t)])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flat_world import TURTLEBOT as LIMITS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.geometry import between, compose
-from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import (
     ImageTask,
@@ -27,15 +27,6 @@ from hitchhike_ros.servoing.servo_laws import (
 )
 from hitchhike_ros.servoing.trail import Trail
 
-LIMITS = RobotLimits(
-    wheel_separation_m=0.23,
-    wheel_radius_m=0.035,
-    front_m=0.176,
-    rear_m=0.176,
-    half_width_m=0.176,
-    max_speed_mps=0.7,
-    max_yaw_rate_rps=3.14,
-)
 GAP = 0.8
 TASKS = (ImageTask(), PositionTask())
 seen = st.builds(

@@ -203,6 +203,12 @@ MESSAGE_TYPES: dict[str, type[Message]] = {
 }
 
 
+# msgspec crashes when two threads are the first to use a type, and some types are in several messages: all are made
+# ready now.
+for _cls in MESSAGE_TYPES.values():
+    msgspec.json.Decoder(_cls)
+
+
 def encode(message: Message) -> str:
     """``message`` as JSON."""
     content = msgspec.to_builtins(message, enc_hook=float)  # NumPy's scalars are no floats to msgspec
