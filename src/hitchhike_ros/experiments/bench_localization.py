@@ -159,7 +159,7 @@ def _mrclam(options: Options, progress: Progress) -> list[Figure]:
     """Peer of each is dead reckoning; no value where the data is missing."""
     folder, name = options.data / "mrclam", "MRCLAM robot 1, mean position error beside dead reckoning"
     cases = (("known", "known landmarks", 0.15), ("signature", "most likely by range, bearing, barcode", 0.25))
-    more = (*cases, ("blind", "most likely by range and bearing", 0.25))
+    more = (*cases, ("blind", "several hypotheses by range and bearing", 0.25))
     if not folder.is_dir():
         return [Figure(f"{name}: {text} (no data)", None, "m") for _, text, _ in more]
     progress("MRCLAM", 0, len(more))

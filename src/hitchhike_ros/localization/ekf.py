@@ -179,13 +179,19 @@ def check_gaussian(mean: Pose2D, covariance: FloatArray) -> FloatArray:
 
 def expected_landmarks(pose: Pose2D, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Range and bearing (N, 2) of landmarks (N, 2), and H (N, 2, 3) = their Jacobian by the pose (P18 Eqs. 14-16)."""
-    dx, dy = positions[:, 0] - pose.x, positions[:, 1] - pose.y
+    expected, H = expected_from(np.array([[pose.x, pose.y, pose.theta]]), positions)
+    return expected[0], H[0]
+
+
+def expected_from(poses: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """As :func:`expected_landmarks`, (K, N, 2) and (K, N, 2, 3), from each of the poses (K, 3)."""
+    dx, dy = (positions[:, axis] - poses[:, axis, None] for axis in (0, 1))
     q = np.maximum(dx * dx + dy * dy, 1e-12)  # on top of a landmark its bearing means nothing
     r = np.sqrt(q)
-    expected, H = np.empty((len(q), 2)), np.zeros((len(q), 2, 3))
-    expected[:, 0], expected[:, 1] = r, wrap_angles(np.arctan2(dy, dx) - pose.theta)
-    H[:, 0, 0], H[:, 0, 1] = -dx / r, -dy / r
-    H[:, 1, 0], H[:, 1, 1], H[:, 1, 2] = dy / q, -dx / q, -1.0
+    expected, H = np.empty((*q.shape, 2)), np.zeros((*q.shape, 2, 3))
+    expected[..., 0], expected[..., 1] = r, wrap_angles(np.arctan2(dy, dx) - poses[:, 2, None])
+    H[..., 0, 0], H[..., 0, 1] = -dx / r, -dy / r
+    H[..., 1, 0], H[..., 1, 1], H[..., 1, 2] = dy / q, -dx / q, -1.0
     return expected, H
 
 
