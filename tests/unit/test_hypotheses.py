@@ -110,6 +110,23 @@ def test_a_share_of_the_information_is_that_share(share):
     np.testing.assert_allclose(several.covariance, np.linalg.inv(information), atol=1e-9)
 
 
+def test_hypotheses_made_one_keep_what_they_were_apart():
+    pair = np.array([[4.0, 0.3], [4.0, -0.3]])
+    between_them = observation(float(np.hypot(4.0, 0.3)), 0.0)
+    apart, one = (
+        Hypotheses(Pose2D(), P0, HypothesesParameters(clutter_density=1e-300, gate=FAR, merge=merge))
+        for merge in (1e-12, FAR)
+    )
+    apart.correct([between_them], pair)
+    one.correct([between_them], pair)
+    assert (len(apart), len(one)) == (3, 1)
+    np.testing.assert_allclose(apart.weights, [0.5, 0.5, 0.0], atol=1e-9)  # the last: it was neither
+    np.testing.assert_allclose(pose_error(one.pose, Pose2D(apart.pose.x, 0.0, 0.0)), 0.0, atol=1e-9)
+    off = np.array([apart.pose.y, apart.pose.theta])  # the other hypothesis is its mirror image
+    expected = apart.covariance[1:, 1:] + np.outer(off, off)
+    np.testing.assert_allclose(one.covariance[1:, 1:], expected, atol=1e-9)
+
+
 def test_a_wrong_explanation_dies_when_later_pictures_speak_against_it():
     # Seen from here both landmarks of the pair fit, the wrong one better; the third landmark then decides.
     truth = Pose2D(START.x, START.y, START.theta - 0.09)

@@ -106,7 +106,8 @@ class Hypotheses:
     ) -> IndexArray:
         """Each hypothesis with each landmark left to it, or with none; ``given`` (N, earlier observations), one more.
 
-        A likelihood N(z; h, R) to the power s is N(z; h, R / s) up to a factor that knows no hypothesis but clutter's.
+        A likelihood N(z; h, R) to the power s is N(z; h, R / s) times a factor that is the same for all landmarks and
+        matters beside clutter.
         """
         p = self._parameters
         expected, H = expected_from(self._poses, positions)
@@ -117,9 +118,8 @@ class Hypotheses:
         squared, _ = _mahalanobis_squared(innovation, HPH + R)
         weak, det = _mahalanobis_squared(innovation, HPH + R / share)
         peak = math.sqrt(float(np.linalg.det(R)))
-        gain = -0.5 * (weak + np.log(det * (share / peak) ** 2)) - share * math.log(
-            2 * math.pi * peak * p.clutter_density
-        )
+        over_clutter = -share * math.log(2.0 * math.pi * peak * p.clutter_density)
+        gain = over_clutter - 0.5 * (weak + np.log(det * (share / peak) ** 2))
         free = ~(given[:, :, None] == np.arange(len(positions))).any(axis=1)
         gain = np.where(free & (squared <= p.gate), gain, -np.inf)
 
