@@ -152,8 +152,8 @@ class Hypotheses:
             centre = order[0]
             away = self._poses[order] - self._poses[centre]
             away[:, 2] = wrap_angles(away[:, 2])
-            # Hypotheses do not differ where a pose is known exactly and its covariance has no inverse.
-            information = np.linalg.pinv(self._P[centre], hermitian=True)
+            # A little is added because a pose that is known exactly has a covariance without inverse.
+            information = np.linalg.inv(self._P[centre] + 1e-12 * np.eye(3))
             near = np.einsum("ni,ij,nj->n", away, information, away) <= self._parameters.merge
             merged.append(self._moments(order[near], away[near]))
             order = order[~near]
