@@ -24,10 +24,9 @@ constexpr double margin = 0.1;
 constexpr int min_sites = 6, max_sites = 48;
 // Sum of the gradient across an edge, in grey levels, that tells it from noise (chosen).
 constexpr double min_contrast = 12;
-// Sites farther than this from their line, in standard deviations, are of something else (chosen).
-constexpr double outlier = 2.5;
-// Sites nearer than this to each other in px have errors in common (measured on rendered tags).
-constexpr double correlation_px = 2.0;
+// Sites farther than this from their line, in standard deviations, are of something else (chosen); and what that leaves
+// of the variance of sites that are all of the line.
+constexpr double outlier = 2.5, kept = 0.89;
 // A side whose change from black to white is hardly wider than interpolation makes it, as a variance in px², was drawn
 // without mixed pixels: either end of it is known to a pixel only. Cameras mix (0.35 and more of tags drawn as a camera
 // sees them), renderers need not (0.17 at most).
@@ -64,13 +63,14 @@ struct Side {
   }
 };
 
-// Moves the side to the edge within reach of it; false where there is none.
-bool fit(const Image &image, Side &side, double reach) {
+// Moves the side to the edge within reach of it; false where there is none. While it is sought, other edges may be within
+// reach: those that fall are left out. Leaving out what falls by noise alone would draw each site towards the line.
+bool fit(const Image &image, Side &side, double reach, bool seeking) {
   const double span = (1 - 2 * margin) * side.length;
   const int n = std::clamp(static_cast<int>(span), min_sites, max_sites);
   constexpr double step = 0.5;
   const int half = std::max(2, static_cast<int>(std::lround(reach / step)));
-  double width = 0, clipped = 0;
+  double width = 0, clipped = 0, ends = 0, total = 0;
   std::vector<double> s, t, profile(static_cast<std::size_t>(2 * half + 3));
   for (int k = 0; k < n; ++k) {
     const double along = margin * side.length + span * (k + 0.5) / n, middle = side.a + side.b * along;
@@ -82,19 +82,25 @@ bool fit(const Image &image, Side &side, double reach) {
     }
     double sum = 0, moment = 0, second = 0;
     for (int i = 0; i <= 2 * half; ++i) {
-      // White lies outside: a slope the other way is another edge.
+      // White lies outside.
       const double slope = profile[static_cast<std::size_t>(i + 2)] - profile[static_cast<std::size_t>(i)];
-      const double weight = std::max(0.0, slope);
+      const double weight = seeking ? std::max(0.0, slope) : slope;
       sum += weight;
       moment += weight * (i - half) * step;
       second += weight * (i - half) * step * (i - half) * step;
     }
     if (sum * step < min_contrast) continue;
+    ends += profile[2] - profile[0] + profile[static_cast<std::size_t>(2 * half + 2)] - profile[static_cast<std::size_t>(2 * half)];
+    total += sum;
     s.push_back(along);
     t.push_back(middle + moment / sum);
     if (*std::max_element(profile.begin(), profile.end()) > clipped_grey) ++clipped;
     width += second / sum - moment * moment / (sum * sum);
   }
+  // Where the window cuts off a part of a blurred edge, sites follow the window's middle, which is the line of the fit
+  // before: so much less than the line is off do they scatter about it.
+  const double follow = total > 0 ? (half + 0.5) * std::max(0.0, ends) / total : 0;
+  const double gain = std::max(1 - follow, 0.2);
   std::vector<char> good(s.size(), 1);
   double variance = 0;
   for (int pass = 0; pass < 3; ++pass) {
@@ -111,11 +117,10 @@ bool fit(const Image &image, Side &side, double reach) {
     for (std::size_t i = 0; i < s.size(); ++i)
       if (good[i]) rr += std::pow(t[i] - side.a - side.b * s[i], 2);
     variance = rr / (m - 2);
-    // Neighbouring sites share pixels.
-    const double shared = variance * std::max(1.0, correlation_px * n / span);
-    side.var_b = shared / ss;
+    const double own = variance / (kept * gain * gain);
+    side.var_b = own / ss;
     side.cov_ab = -ms * side.var_b;
-    side.var_a = shared / m + ms * ms * side.var_b;
+    side.var_a = own / m + ms * ms * side.var_b;
     // Of either end of the side.
     const double found = static_cast<double>(s.size());
     const double common = pixel_variance * std::clamp((soft - width / found) / (soft - sharp), 0.0, 1.0) +
@@ -152,9 +157,9 @@ std::optional<std::pair<py::array_t<double>, py::array_t<double>>> fit_square(
       sides.emplace_back(start[i], start[(i + 1) % 4]);
       Side &side = sides.back();
       if (!(side.length >= min_sites)) return std::nullopt;
-      if (!fit(pixels, side, reach)) return std::nullopt;
+      if (!fit(pixels, side, reach, true)) return std::nullopt;
       for (int again = 0; again < 3; ++again)
-        if (!fit(pixels, side, final_reach)) return std::nullopt;
+        if (!fit(pixels, side, final_reach, false)) return std::nullopt;
     }
   }
   // Corner i is where side i - 1 ends and side i begins; its covariance follows from the offsets of both there.

@@ -197,6 +197,7 @@ PYBIND11_MODULE(_visp_tracker, m) {
       .def("detect", &TagDetector::detect, py::arg("image"),
            "Ids (N,) and corners (N, 4, 2) px, lower left first and counter-clockwise on the tag, in a grey image\n"
            "(H, W) uint8, C-contiguous, read in place.");
+  m.def("check_image", &check_image, py::arg("image"), "Raises unless the image is one that the others can read in place.");
   bind_edge_fit(m);
   bind_model_tracker(m);
 }

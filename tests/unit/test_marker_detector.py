@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.datatypes import CameraInfo
 from hitchhike_ros.errors import VisionError
+from hitchhike_ros.experiments.tag_images import LIGHTS, Conditions, tag_image
 from hitchhike_ros.geometry import matrix_from_xyz_rpy, pose_from_matrix, wrap_angle
 from hitchhike_ros.servoing.marker_detector import (
     Code,
@@ -264,6 +265,45 @@ def test_a_plate_that_leans_far_off_is_not_taken_for_an_upright_one(lean):
         [seen] = detector.resolve(detections, T_BASE_CAMERA, LONG * i)
         error = angle_between(seen.T_camera_marker[:3, :3], T[:3, :3])
         assert error < 3.0 * angle_between(least_squares.T_camera_marker[:3, :3], T[:3, :3]) + 0.02
+
+
+def test_a_plate_whose_mirrored_pose_is_square_on_too_stays_doubtful():
+    """Leaning by 15°, seen from below: the corners alone hardly tell it from one that leans by 2°."""
+    rng = np.random.default_rng(2)
+    detector = MarkerDetector(MarkerDetectorParameters(corner_sigma_px=0.06, upright_sigma_rad=0.2))
+    T = images.marker_pose(2.2, 0.0, math.radians(15.0), 0.065, -0.326)
+    for i in range(30):
+        [seen] = detector.resolve(detections_with_noise(detector, T, 0.06, rng), T_BASE_CAMERA, LONG * i)
+        error = cv2.Rodrigues(seen.T_camera_marker[:3, :3] @ T[:3, :3].T)[0].ravel()
+        assert error @ np.linalg.solve(seen.covariance[3:, 3:], error) < 40.0
+
+
+def test_what_the_size_is_off_by_the_range_is_off_by():
+    view, T = SquareView.with_sigma(np.zeros((4, 2)), 1e-4, SIZE), images.marker_pose(1.5, 0.3, 0.0, 0.2, 0.1)
+    larger = project_corners(T, 1.001 * SIZE)
+    far = T.copy()
+    far[:3, 3] /= 1.001
+    np.testing.assert_allclose(project_corners(far, SIZE), larger, atol=1e-6)
+    assert not view.size_covariance(T).any()
+    known = replace(view, size_sigma=0.001).size_covariance(T)
+    np.testing.assert_allclose(known[:3, :3], np.outer(far[:3, 3] - T[:3, 3], far[:3, 3] - T[:3, 3]), rtol=5e-3)
+    assert not known[3:].any() and not known[:, 3:].any()
+
+
+@pytest.mark.parametrize("distance", [0.4, 1.0, 2.0])
+def test_noise_of_pixels_gives_corners_the_noise_that_they_claim(distance):
+    """However much of a blurred edge the window about it cuts off. In dim light noise is all that there is."""
+    rng, T = np.random.default_rng(1), images.marker_pose(distance, 0.3, 0.1, 0.02, 0.01)
+    found, covariances = [], []
+    for _ in range(40):
+        image = tag_image(T, CAMERA, rng, Conditions(LIGHTS["dim"], 0.7, (0.3, 0.2), 3.0))
+        [seen] = MarkerDetector().detect(image, CAMERA)
+        found.append(seen.corners.ravel())
+        covariances.append(np.linalg.inv(seen.view.whitening.T @ seen.view.whitening) * 554.26**2)
+    claimed = np.mean(covariances, axis=0)
+    apart = np.array(found) - np.mean(found, axis=0)
+    # Mean of 40 chi-square variables of 8 degrees of freedom about their mean: 4 sigma.
+    assert abs(np.mean(np.einsum("ni,ij,nj->n", apart, np.linalg.inv(claimed), apart)) - 8.0) < 2.6
 
 
 def test_previous_image_decides_between_two_poses():

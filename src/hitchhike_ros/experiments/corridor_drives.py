@@ -6,8 +6,9 @@ corridor, no camera). Where boxes stand and people walk is drawn from the seed; 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -157,8 +158,11 @@ def compare(found: Sequence[Obstacle], true: Sequence[Obstacle]) -> tuple[int, t
 
 
 def corridor_drives(options: Options, progress: Progress) -> tuple[DriveResult, ...]:
-    """The drives of a benchmark: 100, or 4 when quick; done once in a process."""
-    return _drives(options.package, options.seed, _QUICK if options.quick else _DRIVES, progress)
+    """The drives of a benchmark: 100, or 4 when quick; done once in a process, each written to ``drives.json``."""
+    drives = _drives(options.package, options.seed, _QUICK if options.quick else _DRIVES, progress)
+    lines = ",\n".join(json.dumps(asdict(drive)) for drive in drives)
+    (options.output / "drives.json").write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    return drives
 
 
 @cache

@@ -38,12 +38,18 @@ T_TAG_MARKER = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 
 _CELLS = {"36h11": 8, "25h9": 7, "16h5": 6}
 # Where there are no cells to tell apart, a marker's likeness to itself is sampled on as many places (chosen).
 _PLACES = 21
+# Before tags are sought (chosen: finds as many at 3 m as none, in half the time).
+_SMOOTHING_PX = 0.8
 # The sides' lines are sought within this of where they are expected, px (chosen); and with what lies within this share
 # of a cell, and these px, they are measured.
 _SEEK_PX, _MEASURE_CELLS, _MEASURE_PX = 3.0, 0.35, (0.75, 2.0)
 # What the scatter does not tell of a corner's error in px: rounding, and the pattern inside, whose blur reaches the
 # side where cells are small (px⁴). Measured on rendered tags.
-_FLOOR_PX, _BLURRED_PX = 0.0085, 1.25
+_FLOOR_PX, _BLURRED_PX = 0.0037, 0.8
+# Leans no farther apart than this, in standard deviations of a plate's, lead to one pose (chosen).
+_ONE_LEAN = 2.0
+# Cosine between normals that are one, as of optima that were reached from two sides: 1° (chosen).
+_ONE_NORMAL = 0.99985
 # A plate that is not upright at all, -2 log likelihood: one in some hundred is mounted otherwise (chosen).
 _NOT_UPRIGHT = 12.0
 
@@ -56,6 +62,8 @@ class MarkerDetectorParameters:
     """One of 36h11, 25h9, 16h5, circle21h7; or qr."""
     marker_size_m: Positive = 0.16
     """Outer edge of the black square (QR: of the code) of markers whose size nobody tells."""
+    size_sigma: UnitInterval = 0.001
+    """How well that size is known, as a share of it: a print is checked with a ruler (chosen)."""
     quad_decimate: Annotated[float, msgspec.Meta(ge=1)] = 2.0
     """Quads are sought in an image this much smaller; corners are refined in the full one."""
     threads: Annotated[int, msgspec.Meta(ge=1)] = 1
@@ -211,6 +219,10 @@ class MarkerDetector:
         """Codes, and their corners (4, 2) px."""
         if self._qr is not None:
             return [(Code(qr_codes.code_id(message), message), corners) for message, corners in self._qr.detect(gray)]
+        _visp_tracker.check_image(gray)
+        if not thorough:
+            # The noise of plain walls is most of the time's work; sides are fitted in the image as it is.
+            gray = np.asarray(cv2.GaussianBlur(gray, (3, 3), _SMOOTHING_PX), dtype=np.uint8)
         ids, all_corners = self._tags[int(thorough)].detect(gray)
         family = self.params.family
         return [
@@ -228,7 +240,7 @@ class MarkerDetector:
         focal = np.array([lens.K[0, 0], lens.K[1, 1]])
         scale = np.tile(1.0 / focal, 4)
         points = (corners - lens.K[:2, 2]) / focal
-        view = SquareView.with_covariance(points, covariance * np.outer(scale, scale), size_m)
+        view = SquareView.with_covariance(points, covariance * np.outer(scale, scale), size_m, self.params.size_sigma)
         solutions = solve(view)
         if not solutions:
             return None
@@ -249,9 +261,8 @@ class MarkerDetector:
             then, yaw = self._previous.get(detection.id, (-math.inf, 0.0))
             yaw_before = yaw if 0.0 <= stamp - then <= self.params.memory_s else None
             best = self._likeliest_first(detection, T_base_camera, yaw_before)
-            square_on = square_on_poses(best.view, best.T_camera_marker, T_base_camera, self.params.upright_sigma_rad)
-            if square_on:
-                best = self._likeliest_first(replace(best, solutions=square_on), T_base_camera, yaw_before)
+            modes = self._modes(best, T_base_camera)
+            best = self._likeliest_first(replace(best, solutions=modes), T_base_camera, yaw_before)
             self._previous[best.id] = (stamp, pose_from_matrix(T_base_camera @ best.T_camera_marker).theta)
             resolved.append(best)
         return resolved
@@ -261,6 +272,20 @@ class MarkerDetector:
     ) -> list[MarkerObservation]:
         """The detections, resolved, as planar poses in ``base_footprint`` with covariances."""
         return [planar_observation(d, T_base_camera, stamp) for d in self.resolve(detections, T_base_camera, stamp)]
+
+    def _modes(self, detection: MarkerDetection, T_base_camera: FloatArray) -> tuple[PoseSolution, ...]:
+        """The likeliest pose and, where there is one, the other; square-on, modes of the posterior in their place."""
+        sigma = self.params.upright_sigma_rad
+        first, *others = detection.solutions
+        up = [T_base_camera[:3, :3] @ s.T_camera_marker[:3, 2] for s in detection.solutions]
+        modes = list(square_on_poses(detection.view, first.T_camera_marker, T_base_camera, sigma)) or [first]
+        # The two poses of a square differ in lean as well as in yaw; leans that are nearly one lead to the same modes.
+        if others and np.linalg.norm(up[0] - up[1]) > _ONE_LEAN * sigma:
+            start = others[0].T_camera_marker
+            modes += square_on_poses(detection.view, start, T_base_camera, sigma) or others
+        elif modes == [first]:
+            modes += others
+        return tuple(modes)
 
     def _likeliest_first(
         self, detection: MarkerDetection, T_base_camera: FloatArray, yaw_before: float | None
@@ -330,10 +355,14 @@ def _narrowest(corners: FloatArray) -> float:
 
 
 def _weighted(detection: MarkerDetection, costs: list[float]) -> MarkerDetection:
-    """A detection whose solutions are sorted by their cost, -2 log likelihood."""
+    """The detection with the solution of least cost, -2 log likelihood, and with the next that is another pose."""
     order = sorted(range(len(costs)), key=costs.__getitem__)
-    odds = math.exp(0.5 * (costs[order[0]] - costs[order[-1]])) if len(order) == 2 else 0.0
-    return replace(detection, solutions=tuple(detection.solutions[i] for i in order), weight=1.0 / (1.0 + odds))
+    first, *others = (detection.solutions[i] for i in order)
+    for other, cost in zip(others, (costs[i] for i in order[1:]), strict=True):
+        if first.T_camera_marker[:3, 0] @ other.T_camera_marker[:3, 0] < _ONE_NORMAL:
+            odds = math.exp(0.5 * (costs[order[0]] - cost))
+            return replace(detection, solutions=(first, other), weight=1.0 / (1.0 + odds))
+    return replace(detection, solutions=(first,), weight=1.0)
 
 
 def _check_camera_info(info: CameraInfo, image: npt.NDArray[np.uint8]) -> None:

@@ -33,12 +33,13 @@ class SquareView:
     """What is measured of one marker.
 
     ``points`` are its corners (4, 2) in normalised image coordinates; ``whitening`` (8, 8) makes their errors, x
-    and y in turn, independent with variance 1; ``size_m`` is its side.
+    and y in turn, independent with variance 1; ``size_m`` is its side, known to a share ``size_sigma`` of itself.
     """
 
     points: FloatArray
     whitening: FloatArray
     size_m: float
+    size_sigma: float = 0.0
 
     @classmethod
     def with_sigma(cls, points: FloatArray, sigma: float, size_m: float) -> SquareView:
@@ -46,9 +47,11 @@ class SquareView:
         return cls(points, np.eye(8) / sigma, size_m)
 
     @classmethod
-    def with_covariance(cls, points: FloatArray, covariance: FloatArray, size_m: float) -> SquareView:
+    def with_covariance(
+        cls, points: FloatArray, covariance: FloatArray, size_m: float, size_sigma: float = 0.0
+    ) -> SquareView:
         """The corners' errors have a covariance (8, 8)."""
-        return cls(points, np.linalg.inv(np.linalg.cholesky(covariance)), size_m)
+        return cls(points, np.linalg.inv(np.linalg.cholesky(covariance)), size_m, size_sigma)
 
     @property
     def sigma(self) -> float:
@@ -59,6 +62,11 @@ class SquareView:
         """Whitened residuals (..., 8) of the corners of markers at (..., 4, 4)."""
         apart = project_corners(T_camera_marker, self.size_m) - self.points
         return apart.reshape(*apart.shape[:-2], 8) @ self.whitening.T
+
+    def size_covariance(self, T_camera_marker: FloatArray) -> FloatArray:
+        """What the size is off by, the place is off by along the line of sight: of the pose, (6, 6)."""
+        shift = np.concatenate([self.size_sigma * T_camera_marker[:3, 3], np.zeros(3)])
+        return np.outer(shift, shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,18 +119,20 @@ def least_squares(view: SquareView, start: FloatArray) -> PoseSolution | None:
         T[:3, 3] += d[:3]
     if not T[2, 3] > 0.0:
         return None
-    return PoseSolution(T, np.linalg.inv(information), float((view.misfit(T) ** 2).sum()))
+    covariance = np.linalg.inv(information) + view.size_covariance(T)
+    return PoseSolution(T, covariance, float((view.misfit(T) ** 2).sum()))
 
 
 def flat_yaw(view: SquareView, depth_m: float) -> float:
-    """Yaw in rad below which a square's width tells little of it: there it is narrower by six sigma (chosen)."""
-    return math.sqrt(12.0 * view.sigma * depth_m / view.size_m)
+    """Yaw in rad below which a square's width tells little of it: there it is narrower by five sigma (chosen)."""
+    return math.sqrt(10.0 * view.sigma * depth_m / view.size_m)
 
 
 def square_on_poses(
     view: SquareView, start: FloatArray, T_base_camera: FloatArray, upright_sigma_rad: float
 ) -> tuple[PoseSolution, ...]:
-    """Means and covariances of the posterior's one or two modes; none unless the marker is upright and square-on.
+    """Means and covariances of the posterior's one or two modes near ``start``; none unless that is upright and
+    square-on.
 
     The posterior is the corners' likelihood times a normal prior on roll and pitch of the plate. It is a mixture over
     a grid of yaws: for each the other five parameters at their optimum (Gauss-Newton) and their covariance there.
@@ -144,6 +154,7 @@ def square_on_poses(
     # Parameters (N, 6): translation along the camera's axes, then roll, pitch and yaw in the base frame.
     q = np.zeros((_GRID.size, 6))
     q[:, :3] = start[:3, 3]
+    q[:, 3:5] = _lean(T_base_marker, upside)
     q[:, 5] = square_on + flat * _GRID
     for _ in range(_ITERATIONS):
         A, e = _residuals(q, view, T_base_camera, upside, upright_sigma_rad)
@@ -151,7 +162,7 @@ def square_on_poses(
         At = A.transpose(0, 2, 1)
         q[:, :5] -= np.linalg.solve(At @ A, At @ e)[:, :, 0]
     A, e = _residuals(q, view, T_base_camera, upside, upright_sigma_rad)
-    chi2 = (e**2).sum(axis=(1, 2))
+    chi2, of_corners = (e**2).sum(axis=(1, 2)), (e[:, :8] ** 2).sum(axis=(1, 2))
     if not chi2.min() < _CHI2_MAX:
         return ()
     C = np.zeros((_GRID.size, 6, 6))
@@ -165,7 +176,8 @@ def square_on_poses(
         d = q[mode] - mean
         covariance = np.einsum("k,kij->ij", w, C[mode]) + (d.T * w) @ d
         T, G = _poses(mean, T_base_camera, upside)
-        solutions.append(PoseSolution(T, G @ covariance @ G.T, float(chi2[mode].min())))
+        covariance = G @ covariance @ G.T + view.size_covariance(T)
+        solutions.append(PoseSolution(T, covariance, float(of_corners[mode][chi2[mode].argmin()])))
     return tuple(solutions)
 
 
@@ -177,6 +189,12 @@ def _modes(chi2: FloatArray) -> list[slice]:
     if chi2[ridge] - max(chi2[left], chi2[right]) < _RIDGE:
         return [slice(None)]
     return [slice(None, ridge + 1), slice(ridge, None)]
+
+
+def _lean(T_base_marker: FloatArray, upside: float) -> tuple[float, float]:
+    """Roll and pitch of :func:`_poses` in rad."""
+    across, up = upside * T_base_marker[2, 1:3]
+    return math.atan2(across, up), -math.asin(max(-1.0, min(1.0, float(T_base_marker[2, 0]))))
 
 
 def _residuals(
