@@ -29,8 +29,8 @@ constexpr double min_contrast = 12;
 constexpr double outlier = 2.5, kept = 0.89;
 // A side whose change from black to white is hardly wider than interpolation makes it, as a variance in px², was drawn
 // without mixed pixels: either end of it is known to a pixel only. Cameras mix (0.35 and more of tags drawn as a camera
-// sees them), renderers need not (0.17 at most).
-constexpr double sharp = 0.18, soft = 0.30, pixel_variance = 1.0 / 12;
+// sees them), renderers need not (0.17 at most). By how much a pixel is off is measured on the simulator's pictures.
+constexpr double sharp = 0.18, soft = 0.30, pixel_variance = 0.18;
 // White that the sensor clips has its edge moved outwards, by how much depends on how bright it was (chosen).
 constexpr double clipped_grey = 254.5, clipped_variance = 0.05 * 0.05;
 
