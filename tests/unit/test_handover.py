@@ -19,6 +19,7 @@ POSES = st.builds(Pose2D, st.floats(-20, 20), st.floats(-20, 20), ANGLES)
 BACK = Pose2D(-0.31, 0.0, math.pi)
 SIGMA_D = np.array([[0.004, 0.001, 0.0], [0.001, 0.002, 0.0002], [0.0, 0.0002, 0.0004]])
 SIGMA_M = np.diag([0.0002, 0.0003, 0.001])
+MOUNTING = np.diag([0.0003, 0.0004, 0.002])
 
 
 def observed(driver: Pose2D, hitchhiker: Pose2D, covariance: np.ndarray = SIGMA_M) -> MarkerObservation:
@@ -61,8 +62,13 @@ def sample(method: str, seed: int) -> tuple[float, np.ndarray, np.ndarray]:
         d = np.array([driver.x, driver.y, driver.theta]) + rng.multivariate_normal(np.zeros(3), SIGMA_D)
         z = observed(driver, hitchhiker).pose
         m = np.array([z.x, z.y, z.theta]) + rng.multivariate_normal(np.zeros(3), SIGMA_M)
+        measured = np.array([BACK.x, BACK.y, BACK.theta]) + rng.multivariate_normal(np.zeros(3), MOUNTING)
         result = handover(
-            method, PoseEstimate(0.0, Pose2D(*d), SIGMA_D), MarkerObservation(0.0, 0, Pose2D(*m), SIGMA_M), BACK
+            method,
+            PoseEstimate(0.0, Pose2D(*d), SIGMA_D),
+            MarkerObservation(0.0, 0, Pose2D(*m), SIGMA_M),
+            Pose2D(*measured),
+            MOUNTING,
         )
         errors.append(pose_error(result.pose, hitchhiker))
         nees.append(mahalanobis_squared(errors[-1], result.covariance))

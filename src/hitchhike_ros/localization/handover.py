@@ -7,14 +7,18 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from hitchhike_ros.datatypes import MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
 from hitchhike_ros.geometry import compose, compose_jacobians, inverse, inverse_jacobian, wrap_angle
 
 Method = Literal["paper", "measured"]
 
 
 def handover(
-    method: Method, driver: PoseEstimate, observation: MarkerObservation, T_driver_marker: Pose2D
+    method: Method,
+    driver: PoseEstimate,
+    observation: MarkerObservation,
+    T_driver_marker: Pose2D,
+    mounting: FloatArray | None = None,
 ) -> PoseEstimate:
     """The hitchhiker's pose in ``map`` from its driver's and from the marker it sees on the driver's back.
 
@@ -24,6 +28,7 @@ def handover(
         driver: the driver's pose T_map_d with its covariance.
         observation: T_h_marker as the hitchhiker sees it, with its covariance.
         T_driver_marker: where the marker is mounted on the driver, in the driver's ``base_footprint``.
+        mounting: covariance (3, 3) of that pose in (x, y, theta), exact unless given; only ``measured`` counts it.
 
     Returns:
         The hitchhiker's pose with its covariance (3, 3), stamped as the observation.
@@ -39,10 +44,13 @@ def handover(
         return PoseEstimate(observation.stamp, pose, np.array(driver.covariance))
     if method == "measured":
         T_map_marker = compose(driver.pose, T_driver_marker)
-        J_driver, _ = compose_jacobians(driver.pose, T_driver_marker)
+        J_driver, J_mounted = compose_jacobians(driver.pose, T_driver_marker)
         T_marker_h = inverse(observation.pose)
         J_marker, J_inverse = compose_jacobians(T_map_marker, T_marker_h)
         A, B = J_marker @ J_driver, J_inverse @ inverse_jacobian(observation.pose)
         covariance = A @ driver.covariance @ A.T + B @ observation.covariance @ B.T
+        if mounting is not None:
+            C = J_marker @ J_mounted
+            covariance = covariance + C @ mounting @ C.T
         return PoseEstimate(observation.stamp, compose(T_map_marker, T_marker_h), (covariance + covariance.T) / 2)
     raise ValueError(f"handover method {method!r}, expected one of {', '.join(get_args(Method))}")

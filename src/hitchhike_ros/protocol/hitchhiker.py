@@ -622,7 +622,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         marker, own, turn = self.offer.marker_pose, self.situation.seen_from, self._track.turn()
         if own is not None and turn is not None:
             seen = with_heading(seen, driver.pose.theta + marker.theta, own.theta + turn[0], turn[1])
-        return handover(self.params.handover, driver, seen, marker)
+        return handover(self.params.handover, driver, seen, marker, self.params.mounting)
 
     def _rough_pose(self) -> PoseEstimate | None:
         """From the driver's track and the own wheels, else from the driver's last message alone (P17 §4)."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from hitchhike_ros.datatypes import NonNegative, Positive
+import numpy as np
+
+from hitchhike_ros.datatypes import FloatArray, NonNegative, Positive
 from hitchhike_ros.protocol.messages import Priority, Profile
 
 TIME_CRITICAL_PRIORITY = 16  # P18 §2.1: 16-20 neither gives nor takes a ride
@@ -52,5 +54,12 @@ class HitchhikingParameters:
     ride_speed_mps: Positive = 0.5
     overlap_tolerance_m: Positive = 0.3  # two plans that go the same way rarely share their cells
     handover: Literal["paper", "measured"] = "measured"
+    mounting_sigma_m: NonNegative = 0.001  # how well one knows where camera and plate are mounted (chosen)
+    mounting_sigma_rad: NonNegative = 0.002
     marker_id: int = 0  # on the own back
     marker_size_m: Positive = 0.16
+
+    @property
+    def mounting(self) -> FloatArray:
+        """Covariance (3, 3) in (x, y, theta) of where a plate is mounted."""
+        return np.diag(np.square([self.mounting_sigma_m, self.mounting_sigma_m, self.mounting_sigma_rad]))
