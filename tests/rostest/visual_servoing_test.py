@@ -283,6 +283,21 @@ class VisualServoingTest(unittest.TestCase):
         self.assertIsNone(self.alone.newest("cmd_vel/servoing"))
         wait_until(lambda: self.alone.diagnosis() == "observing", "observing")
 
+    def test_a_marker_that_cannot_be_is_named_and_the_node_lives_on(self):
+        for namespace, named in (("odd_family", "99h9"), ("no_size", "marker_size_m")):
+            robot = Robot(namespace)
+            for image in (None, picture(0, 1.2)):
+                robot.image, start = image, time.monotonic()
+
+                def explained(robot=robot, start=start, named=named):
+                    said = [status for _, status in robot.since("diagnostics", start)]
+                    return any(status.level == status.ERROR and named in status.message for status in said)
+
+                wait_until(explained, f"/diagnostics with {named!r}")
+            wait_until(lambda robot=robot: robot.newest("visual_servoing/status"), "a status of the image")
+            self.assertEqual(robot.newest("visual_servoing/status").data, 0)
+            self.assertIsNone(robot.newest("visual_servoing/object_position"))
+
 
 if __name__ == "__main__":
     rospy.init_node("visual_servoing_test")

@@ -30,7 +30,8 @@ Parameters:
     ~config (path), sections ``marker_detector`` (servoing.marker_detector.MarkerDetectorParameters), ``marker_tracker``
         (servoing.marker_tracker.MarkerTrackerParameters), ``follow`` (servoing.follow.FollowParameters),
         ``visual_servoing`` (VisualServoingParameters) and, to follow, ``robot``. A private parameter with the name of
-        one of theirs replaces it, e.g. ~family (36h11; 25h9, 16h5, circle21h7 or qr)
+        one of theirs replaces it, e.g. ~family (36h11; 25h9, 16h5, circle21h7 or qr). With a marker that cannot be, of
+        size 0 or of an unknown family, the node sees nothing and /diagnostics says why
     ~urdf (path): mount of the camera (link camera_optical); without it the camera is taken for the robot's base
     ~always_on (bool, false): on without anyone's status; then also
     ~marker_id (int, -1): the marker, -1 for whichever is nearest; ~code_message (string): instead, what its QR code
@@ -113,8 +114,8 @@ class VisualServoing:
 
     def __init__(self) -> None:
         self._params = node_parameters(VisualServoingParameters, "visual_servoing")
-        detector_params = node_parameters(MarkerDetectorParameters, "marker_detector")
-        self._tracker = MarkerTracker(detector_params, node_parameters(MarkerTrackerParameters, "marker_tracker"))
+        self._unusable = ""
+        self._tracker = self._make_tracker()
         self._T_base_camera: FloatArray = (
             mount(path_parameter("urdf"), "camera_optical") if rospy.has_param("~urdf") else T_FORWARD_OPTICAL
         )
@@ -155,10 +156,23 @@ class VisualServoing:
         )
         self._alone = bool(rospy.get_param("~always_on", False))
         if self._alone:
-            self._turn(self._own_command())
+            self._turn(ServoCommand("observe", ANY_MARKER) if self._unusable else self._own_command())
         else:
             self._turn(None)
             self._listener = StatusListener(self._on_status, self._diagnostics)
+
+    def _make_tracker(self) -> MarkerTracker:
+        """Of the marker that the parameters describe; one that cannot be sought is spoken of for as long as it is asked
+        for, and the robot stands."""
+        try:
+            return MarkerTracker(
+                node_parameters(MarkerDetectorParameters, "marker_detector"),
+                node_parameters(MarkerTrackerParameters, "marker_tracker"),
+            )
+        except (ParameterError, VisionError) as exc:
+            rospy.logerr("%s: %s", rospy.get_name(), exc)
+            self._unusable = str(exc)
+            return MarkerTracker()
 
     @staticmethod
     def _output(name: str, cls: type) -> rospy.Publisher:
@@ -263,6 +277,8 @@ class VisualServoing:
             self._answer(stamp)
 
     def _detect(self, msg: Image, servo: ServoCommand, stamp: float) -> list[MarkerDetection]:
+        if self._unusable:
+            raise VisionError(self._unusable)
         if self._info is None:
             reason = (
                 f"distortion model {self._lens!r} in it, expected one of {LENSES}" if self._lens else "none received"
@@ -316,7 +332,7 @@ class VisualServoing:
             silent = now - self._image_at
             if not 0.0 <= silent <= self._params.image_timeout_s:
                 self._states.publish(Int8(NO_IMAGE))
-                self._step(servo, None, f"no image for {silent:.1f} s")
+                self._step(servo, None, self._unusable or f"no image for {silent:.1f} s")
 
     # Output.
 
