@@ -12,7 +12,7 @@ from hitchhike_ros.experiments.couplings import MARKER, WALL, CouplingResult, Pl
 from hitchhike_ros.experiments.figures import Figure
 from hitchhike_ros.experiments.following_rides import CORNERS, FAST, S_BEND, STRAIGHT, Course, RideResult, ride
 from hitchhike_ros.experiments.lost_drivers import RIDES_ON_S, LostResult, lose
-from hitchhike_ros.experiments.parallel import run_all
+from hitchhike_ros.experiments.parallel import run_all, write_results
 
 _SEEDS, _QUICK = 20, 1
 _LOST_SEEDS, _LOST_QUICK = 50, 7  # one of each kind when quick
@@ -23,7 +23,7 @@ _STRAIGHT_GAP_M, _STRAIGHT_LATERAL_M, _CORNER_LATERAL_M = 0.03, 0.04, 0.10
 
 
 def run(options: Options, progress: Progress) -> list[Figure]:
-    """Ride; every figure is the worst of its rides unless it says otherwise."""
+    """Ride; every figure is the worst of its rides unless it says otherwise. Each run is in ``following.json``."""
 
     def rides(course: Course) -> tuple[RideResult, ...]:
         seeds = range(options.seed, options.seed + (_QUICK if options.quick else _SEEDS))
@@ -37,6 +37,13 @@ def run(options: Options, progress: Progress) -> list[Figure]:
     straight, fast, corners, s_bend = (rides(course) for course in (STRAIGHT, FAST, CORNERS, S_BEND))
     seeds = range(options.seed, options.seed + (_LOST_QUICK if options.quick else _LOST_SEEDS))
     lost = run_all("drivers lost", partial(lose, options.package), seeds, progress)
+    courses = {STRAIGHT: straight, FAST: fast, CORNERS: corners, S_BEND: s_bend}
+    results = {
+        **{f"coupling {place.name}": couplings for place, couplings in coupled.items()},
+        **{course.name: rides for course, rides in courses.items()},
+        "drivers lost": lost,
+    }
+    write_results(options.output / "following.json", results)
     return [
         *(figure for place, results in coupled.items() for figure in coupling_figures(place, results)),
         *ride_figures(STRAIGHT, straight),

@@ -6,9 +6,8 @@ corridor, no camera). Where boxes stand and people walk is drawn from the seed; 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from hitchhike_ros.datatypes import Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.experiments.benchmark import Options, Progress
-from hitchhike_ros.experiments.parallel import run_all
+from hitchhike_ros.experiments.parallel import run_all, write_results
 from hitchhike_ros.geometry import compose, distance, wrap_angle
 from hitchhike_ros.simulation.composed import FRAME_RATE_HZ, ComposedRide
 from hitchhike_ros.simulation.people import RADIUS_M, Person
@@ -160,8 +159,7 @@ def compare(found: Sequence[Obstacle], true: Sequence[Obstacle]) -> tuple[int, t
 def corridor_drives(options: Options, progress: Progress) -> tuple[DriveResult, ...]:
     """The drives of a benchmark: 100, or 4 when quick; done once in a process, each written to ``drives.json``."""
     drives = _drives(options.package, options.seed, _QUICK if options.quick else _DRIVES, progress)
-    lines = ",\n".join(json.dumps(asdict(drive)) for drive in drives)
-    (options.output / "drives.json").write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    write_results(options.output / "drives.json", {"drives along the corridor": drives})
     return drives
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
 from multiprocessing import get_context
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 from hitchhike_ros.experiments.benchmark import Progress
 
@@ -24,3 +27,10 @@ def run_all(what: str, run: Callable[[J], R], jobs: Sequence[J], progress: Progr
             results[running[done]] = done.result()
             progress(what, len(results), len(jobs))
     return tuple(results[i] for i in range(len(jobs)))
+
+
+def write_results(path: Path, results: Mapping[str, Sequence[Any]]) -> None:
+    """Each run's result, a dataclass, on a line of its own under the name of what was run: for whoever asks which."""
+    runs = ((name, ",\n".join(f"  {json.dumps(asdict(run))}" for run in of_it)) for name, of_it in results.items())
+    text = ",\n".join(f" {json.dumps(name)}: [\n{lines}\n ]" for name, lines in runs)
+    path.write_text(f"{{\n{text}\n}}\n", encoding="utf-8")
