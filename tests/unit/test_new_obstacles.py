@@ -230,6 +230,23 @@ def test_who_stood_still_for_long_is_removed_when_gone(grid):
     assert mapper.obstacles == ()
 
 
+def test_who_comes_and_stands_until_the_robot_has_passed_is_no_box(grid):
+    """Nobody sees afterwards that the place is empty again."""
+
+    def things(t: float) -> list[Obstacle]:
+        return [person(11.0 + max(3.0 - t, 0.0), 6.2)]
+
+    assert ride(grid, [(8.0, 5.5), (14.0, 5.5)], things, pose_sigma=0.01).obstacles == ()
+
+
+def test_who_comes_and_stays_is_a_box_in_the_end(grid):
+    def things(t: float) -> list[Obstacle]:
+        return [person(11.0, 6.2)] if t > 2.0 else []
+
+    there_and_back = [(8.0, 5.5), (10.0, 5.5)] + 6 * [(9.0, 5.5), (10.0, 5.5)] + [(13.0, 5.5)]
+    assert len(ride(grid, there_and_back, things).obstacles) == 1
+
+
 def test_a_box_that_was_taken_away_goes(grid):
     mapper = ride(grid, PAST_FIRST, lambda _: BOXES[:1])
     assert len(mapper.obstacles) == 1

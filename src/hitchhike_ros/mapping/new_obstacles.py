@@ -40,6 +40,7 @@ class MappingParameters:
     max_score: Positive = 10.0  # so many beams through a cell remove it, however long it stood there
     min_scans: int = 8
     min_age_s: Positive = 3.6  # longer than a person who stops for three seconds covers a cell
+    came_age_s: Positive = 20.0  # where it was empty before: who comes and stands is a person for so long
     passing_s: NonNegative = 1.2  # longer than somebody who walks at 0.5 m/s covers a cell
     min_view_gap_m: Positive = 0.5
     min_cells: int = 4  # that fulfil all three
@@ -66,13 +67,21 @@ class _Cells:
     since_stamp: FloatArray
     since_view: FloatArray  # (K, 2), where the robot was then
     apart: npt.NDArray[np.bool_]  # seen since then from places far enough apart
+    came: npt.NDArray[np.bool_]  # the place had been seen empty before
 
     @classmethod
-    def fresh(cls, keys: npt.NDArray[np.int64], score: FloatArray, stamp: float, view: FloatArray) -> _Cells:
+    def fresh(
+        cls,
+        keys: npt.NDArray[np.int64],
+        score: FloatArray,
+        stamp: float,
+        view: FloatArray,
+        came: npt.NDArray[np.bool_] | None = None,
+    ) -> _Cells:
         n = len(keys)
-        stamps = np.full(n, stamp)
-        views = np.tile(view, (n, 1))
-        return cls(keys, score, np.ones(n), stamps, stamps.copy(), stamps.copy(), views, np.zeros(n, dtype=bool))
+        stamps, views, no = np.full(n, stamp), np.tile(view, (n, 1)), np.zeros(n, dtype=bool)
+        came = no.copy() if came is None else came
+        return cls(keys, score, np.ones(n), stamps, stamps.copy(), stamps.copy(), views, no, came)
 
     def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> _Cells:
         return _Cells(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
@@ -207,7 +216,8 @@ class NewObstacleMapper:
         cells.last_stamp[rows] = stamp
         moved_m = np.hypot(*(cells.since_view[rows] - view).T)
         cells.apart[rows] |= moved_m >= self._parameters.min_view_gap_m
-        self._cells = cells.joined(_Cells.fresh(keys[~known], weight[~known], stamp, view))
+        came = self._seen_through.ever(self._centres(keys[~known]))
+        self._cells = cells.joined(_Cells.fresh(keys[~known], weight[~known], stamp, view, came))
 
     def _find_boxes(self) -> None:
         p = self._parameters
@@ -215,7 +225,8 @@ class NewObstacleMapper:
         passing = self._cells.last_stamp - self._cells.first_stamp < p.passing_s
         cells = self._cells.select(~passing | (self._cells.scans == 0))
         centres = self._centres(cells.keys)
-        sure = (cells.scans >= p.min_scans) & (cells.last_stamp - cells.since_stamp >= p.min_age_s) & cells.apart
+        age_s = cells.last_stamp - cells.since_stamp
+        sure = (cells.scans >= p.min_scans) & (age_s >= np.where(cells.came, p.came_age_s, p.min_age_s)) & cells.apart
         boxes: dict[str, Obstacle] = {}
         for group, box in self._joined(cells, centres):
             own = bool(sure[group].sum() >= p.min_cells)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from hitchhike_ros.datatypes import FloatArray, LaserScan, Obstacle, Pose2D
 from hitchhike_ros.mapping.grid import FREE, OccupancyGrid
@@ -12,12 +14,16 @@ from hitchhike_ros.mapping.laser import LaserNoise, passed_through
 
 
 class SeenThrough:
-    """For each cell that the map has as free, when a beam last went through it; nothing if a beam ended there since."""
+    """For each cell that the map has as free, when a beam last went through it; nothing if a beam ended there since.
+
+    And whether a beam ever did: what stands there now has come since.
+    """
 
     def __init__(self, grid: OccupancyGrid, noise: LaserNoise, reach_m: float, clearance_m: float) -> None:
         self._grid, self._noise, self._reach_m, self._clearance_m = grid, noise, reach_m, clearance_m
         self._free = np.equal(grid.data, FREE)
         self._stamps = np.full(grid.data.shape, -np.inf)
+        self._ever = np.zeros(grid.data.shape, dtype=bool)
 
     def look(self, scan: LaserScan, T_map_laser: Pose2D, ends: FloatArray) -> None:
         """Take in a scan whose beams end at ``ends`` (N, 2) in ``map``."""
@@ -29,10 +35,22 @@ class SeenThrough:
         passed, range_m = passed_through(
             scan, T_map_laser, self._grid.cell_to_world(cells), self._noise, self._clearance_m
         )
-        self._stamps[tuple(cells[passed & (range_m < reach)].T)] = scan.stamp
+        through = tuple(cells[passed & (range_m < reach)].T)
+        self._stamps[through], self._ever[through] = scan.stamp, True
         near = np.hypot(ends[:, 0] - T_map_laser.x, ends[:, 1] - T_map_laser.y) < reach
         hit = self._grid.world_to_cell(ends[near])
         self._stamps[tuple(hit[self._grid.in_bounds(hit)].T)] = -np.inf
+
+    def ever(self, points: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether beams ever went through the cell of each of points (N, 2) of the map, and through all cells about it.
+
+        Through a single one they go beside a thing, too, of whose face it holds a bit.
+        """
+        about = np.array(list(itertools.product((-1, 0, 1), repeat=2)))
+        cells = self._grid.world_to_cell(points)[:, None] + about
+        inside = self._grid.in_bounds(cells.reshape(-1, 2)).reshape(cells.shape[:2])
+        rows, columns = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
+        return np.asarray((self._ever[rows, columns] & inside).all(axis=1))
 
     def crosses(self, box: Obstacle, margin_m: float, since: float) -> bool:
         """Whether a beam went through a box, farther from its sides than a margin, since a time.
