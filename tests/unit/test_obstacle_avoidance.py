@@ -152,8 +152,8 @@ def test_blocked_it_tries_one_thing_after_the_other_and_never_touches_anything(l
     assert [said.count(step) for step in steps[1:3]] == [10, 80]
     assert turned > 1.5 * math.pi
     assert not drive.world.touched
-    for _ in range(120):
-        drive.step()
+    while not drive.step().reason.endswith("; waiting"):
+        assert drive.world.now < 90.0
     for _ in range(70):  # from the top, and with a rider it does not turn
         assert drive.step(gentle=True).twist == Twist2D()
 
@@ -190,6 +190,25 @@ def test_before_a_closed_way_it_makes_room_once_and_does_not_go_to_and_fro(limit
     assert min(x[200:400]) < 8.7  # it has made room
     assert min(x[400:]) > 9.2
     assert drive.decision.state == "blocked"
+
+
+def test_it_backs_out_of_where_it_cannot_turn() -> None:
+    """A long robot between a wall and a box: it has come in, and its corners are too far out to turn round."""
+    limits = P3DX
+    beside = ((9.0, 4.6, 1.6, 0.78), (9.0, 6.06, 1.6, 0.78), (10.4, 5.38, 0.2, 0.68))
+    path = [(8.0, 5.72), (12.0, 5.72)]
+    drive = Drive(limits, (*CORRIDOR, *beside), Pose2D(8.0, 5.72, 0.0), [(8.0, 5.72), (9.9, 5.72)], Pose2D(9.9, 5.72))
+    drive.run(20.0)
+    inside = drive.world.pose.x
+    assert inside > 9.5
+    drive.controller.set_path(np.array([(inside, 5.72), path[-1]]), Pose2D(12.0, 5.72, 0.0))
+    for _ in range(300):
+        drive.step()
+        if drive.world.pose.x < inside - 0.8:
+            break
+    assert drive.world.pose.x < inside - 0.8
+    assert abs(drive.world.pose.theta) < 0.5
+    assert not drive.world.touched
 
 
 def test_recovery_starts_over_after_a_calm_time_only() -> None:

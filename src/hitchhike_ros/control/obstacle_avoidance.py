@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from hitchhike_ros.control.clearance import ClearanceField, Footprint
 from hitchhike_ros.control.detour import Detour, DetourPlanner
@@ -36,6 +37,9 @@ _OUTLINE_POINTS = 48
 Samples = Annotated[int, msgspec.Meta(ge=2)]
 # An approach ends within this share of the goal's tolerance; what is left of the heading is then turned standing.
 _CURVE_ENDS = 0.8
+# Backing up: the place to steer for, so far along the way back, and what is tried beside that arc, rad/s.
+_BACK_AHEAD_M = 0.4
+_BACK_YAW_RATES = np.array([0.0, 0.1, -0.1, 0.2, -0.2, 0.4, -0.4])
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ class ObstacleAvoidanceParameters:
     recovery_replan_s: Positive = 4.0  # longer than path_planning takes to try again
     recovery_withdraw_s: Positive = 8.0  # enough to turn and to go back so far:
     recovery_withdraw_m: Positive = 1.0
+    recovery_backwards_mps: Positive = 0.2
     recovery_calm_s: Positive = 3.0  # after driving for so long the next block is a new one
     progress_weight: NonNegative = 1.0
     lateral_weight: NonNegative = 0.6
@@ -290,8 +295,31 @@ class ObstacleAvoidance:
             way = self._trail.back(pose)
             end, self._withdrew_at = Pose2D(float(way[-1, 0]), float(way[-1, 1])), pose
             self._withdrawal = _Leg(ReferencePath(way), end, p.goal_tolerance_m, math.tau)
+        way_back = self._withdrawal.path
+        gone_m, _ = way_back.project(pose.x, pose.y)
+        x, y = way_back.at(np.array([min(gone_m + _BACK_AHEAD_M, way_back.length)]))[0]
+        back = between(pose, Pose2D(float(x), float(y)))
+        if back.x < -abs(back.y):  # where there is no room to turn round there is room to go back
+            done = way_back.length - gone_m <= p.goal_tolerance_m
+            return None if done else self._back_up(now, back, twist, field, limits)
         decision = self._drive(self._withdrawal, now, pose, twist, field, limits, False)
         return decision.twist if decision.state == "driving" else None
+
+    def _back_up(
+        self, now: float, back: Pose2D, twist: Twist2D, field: ClearanceField, limits: RobotLimits
+    ) -> Twist2D | None:
+        """Backwards on the free arc that is nearest to the one to the place ``back`` (robot's frame); None without."""
+        p = self._params
+        clearance = float(field.clearance(self._footprint, np.zeros(3)))
+        speed = min(p.recovery_backwards_mps, p.approach_backwards_mps, limits.max_speed_mps)
+        wanted = -speed * 2.0 * back.y / (back.x**2 + back.y**2)
+        omega = np.clip(wanted + _BACK_YAW_RATES, -limits.max_yaw_rate_rps, limits.max_yaw_rate_rps)
+        targets = np.stack([np.full_like(omega, -speed), omega], axis=1)
+        free = self._can_stop(twist, targets, field, self._floor(clearance), limits)
+        if not free.any():
+            return None
+        v, w = targets[int(np.argmax(free))]
+        return self._ramp(now, twist, Twist2D(float(v), float(w)), limits)
 
     def _look_around(
         self, now: float, _pose: Pose2D, twist: Twist2D, field: ClearanceField, limits: RobotLimits
@@ -318,9 +346,7 @@ class ObstacleAvoidance:
         clearance = float(field.clearance(self._footprint, np.zeros(3)))
         if clearance < -0.02:  # more than the discs' overhang and the grid explain
             return self._stand("blocked", "an obstacle touches the footprint")
-        # Closer than the margin (a person stepped up): what comes no closer is still allowed.
-        floor = min(p.margin_m, clearance - 0.005 if clearance > 0.02 else clearance)
-
+        floor = self._floor(clearance)
         if leg.stuck:
             return self._stand("blocked", f"no progress for {p.no_progress_s:.0f} s")
 
@@ -369,6 +395,10 @@ class ObstacleAvoidance:
         if target is None:  # brake as hard as the base can
             return self._stand("driving", "no motion is safe")
         return Decision(self._ramp(now, twist, target, limits), "driving", "waiting for a way" if standing else "")
+
+    def _floor(self, clearance: float) -> float:
+        """How near to an obstacle it may come: the margin, or the ``clearance`` of now where someone has stepped up."""
+        return min(self._params.margin_m, clearance - 0.005 if clearance > 0.02 else clearance)
 
     def _approach(
         self,
@@ -446,16 +476,22 @@ class ObstacleAvoidance:
         if gentle:
             in_view = np.abs(targets[:, 1]) <= p.rider_curvature_per_m * targets[:, 0] + 0.1
             targets = targets[in_view] if in_view.any() else targets
-        reaction = np.array([0.5, 1.0]) * p.reaction_s
-        committed, velocities = roll_out(twist, targets, limits, reaction)
-        stopping = np.concatenate([committed, brake(committed[:, -1], velocities[:, -1], limits, 6)], axis=1)
-        safe = field.clearance(self._footprint, stopping).min(axis=1) >= floor
+        safe = self._can_stop(twist, targets, field, floor, limits)
         if not safe.any():
             return None
         targets = targets[safe]
         poses, velocities = roll_out(twist, targets, limits, self._times)
         best = int(np.argmin(self._costs(targets, poses, velocities, way, field, floor, limits)))
         return Twist2D(float(targets[best, 0]), float(targets[best, 1]))
+
+    def _can_stop(
+        self, twist: Twist2D, targets: FloatArray, field: ClearanceField, floor: float, limits: RobotLimits
+    ) -> npt.NDArray[np.bool_]:
+        """Mask (K,) of the target velocities (K, 2) that leave room to brake after the reaction."""
+        reaction = np.array([0.5, 1.0]) * self._params.reaction_s
+        committed, velocities = roll_out(twist, targets, limits, reaction)
+        stopping = np.concatenate([committed, brake(committed[:, -1], velocities[:, -1], limits, 6)], axis=1)
+        return np.asarray(field.clearance(self._footprint, stopping).min(axis=1) >= floor)
 
     def _costs(
         self,
