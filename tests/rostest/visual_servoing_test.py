@@ -170,7 +170,9 @@ class VisualServoingTest(unittest.TestCase):
     def test_follows_and_reports(self):
         self.drives()
         wait_until(lambda: self.robot.newest("visual_servoing/object_position"), "a pose")
-        [seen] = decode_observations(self.robot.newest("visual_servoing/observations").data)
+        told = decode_observations(self.robot.newest("visual_servoing/observations").data)
+        self.assertEqual(told.following, "following")
+        [seen] = told.markers
         pose = self.robot.newest("visual_servoing/object_position_covariance")
         self.assertEqual(seen.marker_id, 0)
         self.assertAlmostEqual(pose.pose.pose.position.z, 1.2, delta=0.06)
@@ -196,10 +198,12 @@ class VisualServoingTest(unittest.TestCase):
         start = time.monotonic()
         # These wheels never turn: there is nothing to coast, and turning ends by its timeout.
         wait_until(lambda: "looking" in self.robot.diagnosis(), "looking")
+        said = decode_observations(self.robot.newest("visual_servoing/observations").data)
+        self.assertIn(said.following, ("looking", "turning"))
         wait_until(lambda: "lost" in self.robot.diagnosis(), "lost")
         self.assert_stops(time.monotonic(), "lost")
         self.assertEqual(self.robot.since("visual_servoing/object_position", start + 0.1), [])
-        self.assertEqual(decode_observations(self.robot.newest("visual_servoing/observations").data), ())
+        self.assertEqual(decode_observations(self.robot.newest("visual_servoing/observations").data).markers, ())
         self.robot.image = picture(0, 1.2)
         self.drives()
 

@@ -361,6 +361,15 @@ def test_why_a_robot_goes_on_alone_stays_in_its_status() -> None:
 # What one traveller decides by itself.
 
 
+def test_the_status_says_how_the_driver_is_followed() -> None:
+    world = World()
+    world.run(until=lambda: world.rider.traveller.status(world.now).state == "riding")
+    for robot, other, said in ((world.rider, world.driver, "coasting"), (world.driver, world.rider, "")):
+        situation = replace(robot.situation(world.now, other), following="coasting")
+        robot.traveller.step(Tick(situation), world.now)
+        assert robot.traveller.status(world.now).following == said
+
+
 def _traveller(planner: Planner = corridor_path, **params: Any) -> Traveller:
     return Traveller(RIDER, HitchhikingParameters(**params), SITES, planner, MARKER_POSE, CAMERA, 0.3)
 

@@ -43,7 +43,7 @@ from nav_msgs.msg import Odometry as OdometryMsg
 from std_msgs.msg import String
 
 from hitchhike_ros.control.odometry_history import OdometryHistory
-from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.datatypes import FloatArray, Pose2D, PoseEstimate
 from hitchhike_ros.errors import MessageError, PlanningError, SensorDataError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.mapping.grid import OccupancyGrid
@@ -63,7 +63,7 @@ from hitchhike_ros.protocol.machine import (
     stamped,
 )
 from hitchhike_ros.protocol.messages import NewObstacles, encode
-from hitchhike_ros.protocol.observations import decode_observations
+from hitchhike_ros.protocol.observations import Observations, decode_observations
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status, encode_status
 from hitchhike_ros.protocol.traveller import Traveller
@@ -109,7 +109,7 @@ class HitchhikeComm:
         self._navigation = self._planning = NavigationReport("", "idle")
         self._odometry = OdometryHistory()
         self._estimate: PoseEstimate | None = None
-        self._observations: tuple[MarkerObservation, ...] = ()
+        self._observations = Observations()
         self._published: Status | None = None
         self._logged: dict[str, float] = {}
         self._diagnostics = Diagnostics("hitchhike_comm")
@@ -210,12 +210,13 @@ class HitchhikeComm:
         if estimate is not None and now - estimate.stamp > _ESTIMATE_AGE_S:
             estimate = None
         servo = self._traveller.status(now).servo
-        seen = next((o for o in observations if servo is not None and o.marker_id == servo.marker_id), None)
+        seen = next((o for o in observations.markers if servo is not None and o.marker_id == servo.marker_id), None)
         with self._lock:
             seen_from = None if seen is None else self._odometry.at(seen.stamp)
             odom_pose = self._odometry.at(now)
         situation = replace(situation, navigation=navigation, estimate=estimate)
-        tick = Tick(replace(situation, observation=seen, seen_from=seen_from, odom_pose=odom_pose))
+        situation = replace(situation, observation=seen, seen_from=seen_from, odom_pose=odom_pose)
+        tick = Tick(replace(situation, following=observations.following))
         wanted = self._move_base.poll()
         for event in [*events, *([] if wanted is None else [wanted]), tick]:
             for effect in self._traveller.step(event, now):

@@ -287,7 +287,7 @@ class RideMonitor:
         robot.obstacles = msgspec.json.decode(msg.data, type=NewObstacles).obstacles
 
     def _on_observations(self, msg: String, robot: RobotRecord) -> None:
-        for seen in decode_observations(msg.data):
+        for seen in decode_observations(msg.data).markers:
             pose = seen.pose
             robot.sightings.append(Sighting(seen.stamp, pose.x, pose.y, pose.theta, seen.marker_id))
 

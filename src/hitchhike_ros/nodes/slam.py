@@ -233,7 +233,7 @@ class Slam:
             if self._localizer is None or not self._localizer.initialised:
                 return
             try:
-                self._localizer.update_markers(decode_observations(msg.data))
+                self._localizer.update_markers(decode_observations(msg.data).markers)
             except (MessageError, SensorDataError) as exc:
                 self._diagnostics.count("bad_observations")
                 rospy.logwarn_throttle(10.0, "markers not used: %s", exc)

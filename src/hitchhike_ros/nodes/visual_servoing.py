@@ -115,6 +115,7 @@ class VisualServoing:
     def __init__(self) -> None:
         self._params = node_parameters(VisualServoingParameters, "visual_servoing")
         self._unusable = ""
+        self._following = ""  # what the law said last
         self._tracker = self._make_tracker()
         self._T_base_camera: FloatArray = (
             mount(path_parameter("urdf"), "camera_optical") if rospy.has_param("~urdf") else T_FORWARD_OPTICAL
@@ -271,9 +272,9 @@ class VisualServoing:
                 self._diagnostics.count("bad_images")
             observations = [planar_observation(d, self._T_base_camera, stamp) for d in detections]
             target = self._target(detections, servo)
-            self._publish(msg, stamp, observations, target, bool(problem))
             seen = next((o for o, d in zip(observations, detections, strict=True) if d is target), None)
             self._step(servo, seen, problem)
+            self._publish(msg, stamp, observations, target, bool(problem))
             self._answer(stamp)
 
     def _detect(self, msg: Image, servo: ServoCommand, stamp: float) -> list[MarkerDetection]:
@@ -305,6 +306,7 @@ class VisualServoing:
         now = rospy.get_time()
         # The first image may come before the first camera_info.
         bad = ERROR if now - self._on_since > self._params.start_s else WARN
+        self._following = ""
         if servo.task != "follow":
             self._diagnostics.set(bad if problem else OK, problem or "observing")
             return
@@ -315,6 +317,7 @@ class VisualServoing:
         problem = problem or self._odometry_problem
         if problem:
             decision = Decision(Twist2D(), "stopped", problem)
+        self._following = decision.state
         twist, guarded = (decision.twist, False) if self._guard is None else self._guard.limit(now, decision.twist)
         self._commands.publish(twist_to_msg(twist))
         level = _LEVELS.get(decision.state, bad)
@@ -344,7 +347,7 @@ class VisualServoing:
         target: MarkerDetection | None,
         unusable: bool,
     ) -> None:
-        self._observations.publish(String(encode_observations(stamp, observations)))
+        self._observations.publish(String(encode_observations(stamp, observations, self._following)))
         self._states.publish(Int8(NO_IMAGE if unusable else SEEN if target is not None else SEEKING))
         if target is not None:
             self._codes.publish(String(target.code.message))

@@ -52,6 +52,7 @@ class Situation:
     observation: MarkerObservation | None = None
     seen_from: Pose2D | None = None  # own pose in ``odom`` when that observation was made
     odom_pose: Pose2D | None = None  # own pose in ``odom`` now
+    following: str = ""  # what servoing does with the driver, in its words
 
 
 @dataclass(frozen=True, eq=False)

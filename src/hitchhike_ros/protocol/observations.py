@@ -1,4 +1,5 @@
-"""``visual_servoing/observations``: the markers of one image as JSON, in the robot's base_footprint."""
+"""``visual_servoing/observations``: the markers of one image as JSON, in the robot's base_footprint, and what following
+makes of them."""
 
 from __future__ import annotations
 
@@ -26,26 +27,40 @@ class _Marker:
 class _Observations:
     stamp: float
     markers: tuple[_Marker, ...]
+    following: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What servoing says of one image.
+
+    ``following`` is what it does with the driver: following, coasting, looking, turning or searching; stopped where it
+    cannot; nothing while it only observes.
+    """
+
+    markers: tuple[MarkerObservation, ...] = ()
+    following: str = ""
 
 
 _DECODER = msgspec.json.Decoder(_Observations)  # made once, as in status.py
 
 
-def encode_observations(stamp: float, observations: Iterable[MarkerObservation]) -> str:
-    """The markers seen in the image of time ``stamp``; an image without markers is said too."""
+def encode_observations(stamp: float, observations: Iterable[MarkerObservation], following: str = "") -> str:
+    """The markers seen in the image of time ``stamp``, as :class:`Observations`; an image without any is said too."""
     markers = tuple(
         _Marker(o.marker_id, o.pose.x, o.pose.y, o.pose.theta, covariance_rows(o.covariance)) for o in observations
     )
-    return msgspec.json.encode(_Observations(stamp, markers)).decode()
+    return msgspec.json.encode(_Observations(stamp, markers, following)).decode()
 
 
-def decode_observations(text: str) -> tuple[MarkerObservation, ...]:
+def decode_observations(text: str) -> Observations:
     """Raises MessageError where the text is none."""
     try:
         seen = _DECODER.decode(text)
     except msgspec.MsgspecError as exc:
         raise MessageError(f"visual_servoing/observations: {exc}") from exc
-    return tuple(
+    markers = tuple(
         MarkerObservation(seen.stamp, m.marker_id, Pose2D(m.x, m.y, m.theta), np.array(m.covariance))
         for m in seen.markers
     )
+    return Observations(markers, seen.following)

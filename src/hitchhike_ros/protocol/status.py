@@ -89,6 +89,7 @@ class Status:
     goal: GoalCommand | None = None
     speed_limit_mps: Positive | None = None
     servo: ServoCommand | None = None
+    following: str = ""  # what servoing does to follow: following, or coasting, looking, turning, searching, stopped
     ride: RideStatus | None = None
     robots: tuple[KnownRobot, ...] = ()
 

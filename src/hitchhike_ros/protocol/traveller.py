@@ -81,6 +81,7 @@ class Traveller:
         if self.hitchhiker.offer is not None:
             self._driver = self.hitchhiker.offer.robot_id
         robots = tuple(robot for name, (robot, heard) in self._robots.items() if now - heard <= self._memory_s(name))
+        servo = machine.servo
         return Status(
             time_stamp=now,
             robot_id=self.robot_id,
@@ -90,7 +91,8 @@ class Traveller:
             modules=machine.modules,
             goal=self.hitchhiker.way if self.rides else self.driver.goal,
             speed_limit_mps=self.driver.speed_limit_mps,
-            servo=machine.servo,
+            servo=servo,
+            following=self._situation.following if servo is not None and servo.task == "follow" else "",
             ride=machine.ride,
             robots=robots,
         )

@@ -237,6 +237,7 @@ class ComposedRobot:
             seen[0] if seen else None,
             self._seen_from if seen else None,
             self.body.odometry().pose,
+            self.following,
         )
         for effect in self.traveller.step(Tick(situation) if event is None else event, now):
             self._carry_out(effect, now, send)
