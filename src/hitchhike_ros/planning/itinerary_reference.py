@@ -1,0 +1,111 @@
+"""The cheapest itinerary's cost by trying everything: slow, and obviously right. For tests and the benchmark alone.
+
+It shares rules and costs with :mod:`hitchhike_ros.planning.itinerary`, but none of its code: plain numbers, and no
+order or bound that leaves an itinerary out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hitchhike_ros.planning.announced import AnnouncedDriver
+from hitchhike_ros.planning.itinerary import ItineraryParameters, Point, Request, SoloMetres
+
+# A driver at a point of its path: the point, metres along the path, time announced, time if it hurries, time that a
+# pair needs to there from the path's beginning, whether one may board, whether one may leave.
+_Stop = tuple[Point, float, float, float, float, bool, bool]
+
+
+def cheapest(
+    request: Request, drivers: Sequence[AnnouncedDriver], solo_metres: SoloMetres, parameters: ItineraryParameters
+) -> float:
+    """Cost of the best itinerary, inf where there is none; arguments as of ``plan_itinerary``."""
+    rules, costs = parameters.rules, parameters.costs
+    stops = [list(_stops(driver, drivers, request, parameters)) for driver in drivers]
+    known: dict[tuple[Point, Point], float] = {}
+
+    def metres(a: Point, b: Point) -> float:
+        if (a, b) not in known:
+            known[a, b] = float(solo_metres(np.array([a]), np.array([b]))[0, 0])
+        return known[a, b]
+
+    def best(here: Point, now: float, left: frozenset[int]) -> float:
+        """Cost of everything from ``here`` at ``now`` on with the drivers that are left."""
+        alone = metres(here, request.goal)
+        cheapest = alone * costs.solo_per_m + alone / request.solo_speed_mps * costs.arrival_per_s
+        for k in left:
+            for at, its_arc, time, earliest, began, may_board, _ in stops[k]:
+                arrival = now + metres(here, at) / request.solo_speed_mps
+                boards = max(arrival, earliest)
+                wait, driver_wait = boards - arrival, max(0.0, boards - time)
+                if not may_board or max(wait, driver_wait) > rules.max_wait_s or math.isinf(arrival):
+                    continue
+                for to, arc, _, _, ends, _, may_leave in stops[k]:
+                    if not may_leave or not arc - its_arc > rules.min_ride_m:
+                        continue
+                    after = boards + rules.couple_s + (ends - began) + rules.decouple_s
+                    cost = (
+                        costs.solo_per_m * metres(here, at)
+                        + costs.wait_per_s * wait
+                        + costs.driver_wait_per_s * driver_wait
+                        + costs.change
+                        + costs.arrival_per_s * (after - now)
+                    )
+                    cheapest = min(cheapest, cost + best(to, after, left - {k}))
+        return cheapest
+
+    return best(request.start, request.now, frozenset(range(len(drivers))))
+
+
+def _stops(
+    driver: AnnouncedDriver, drivers: Sequence[AnnouncedDriver], request: Request, parameters: ItineraryParameters
+) -> Iterator[_Stop]:
+    rules = parameters.rules
+    for x, y in np.reshape(request.sites, (-1, 2)).tolist():
+        yield from _passages(driver, (x, y), True, True, parameters)
+    if rules.board_anywhere:
+        yield from _passages(driver, request.start, True, False, parameters)
+        for each in drivers:
+            for x, y in each.path.tolist():
+                yield from _passages(driver, (x, y), True, rules.leave_anywhere, parameters)
+    if rules.leave_anywhere:
+        yield from _passages(driver, request.goal, False, True, parameters)
+        for x, y in driver.path.tolist():
+            yield from _passages(driver, (x, y), False, True, parameters)
+
+
+def _passages(
+    driver: AnnouncedDriver, point: Point, may_board: bool, may_leave: bool, parameters: ItineraryParameters
+) -> Iterator[_Stop]:
+    """Every passage of the path by the point: where it comes nearest, if that is near enough."""
+    path, times, rules = driver.path.tolist(), driver.times.tolist(), parameters.rules
+    arc, hurried, ridden = 0.0, times[0], 0.0
+    along = []  # of every segment: distance of the point, and the stop nearest to it
+    for a, b, begin, end in zip(path[:-1], path[1:], times[:-1], times[1:], strict=True):
+        length = math.dist(a, b)
+        share = 0.0
+        if length > 0:
+            share = ((point[0] - a[0]) * (b[0] - a[0]) + (point[1] - a[1]) * (b[1] - a[1])) / length**2
+            share = min(1.0, max(0.0, share))
+        foot = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+        duration = end - begin
+        fast = min(duration, length / driver.safe_speed_mps) if length > 0 else duration
+        slow = max(duration, length / rules.ride_speed_mps)
+        along.append(
+            (
+                math.dist(point, foot),
+                (
+                    *(point, arc + share * length, begin + share * duration),
+                    *(hurried + share * fast, ridden + share * slow, may_board, may_leave),
+                ),
+            )
+        )
+        arc, hurried, ridden = arc + length, hurried + fast, ridden + slow
+    for i, (distance, stop) in enumerate(along):
+        before = along[i - 1][0] if i else math.inf
+        after = along[i + 1][0] if i + 1 < len(along) else math.inf
+        if distance <= rules.site_tolerance_m and distance < before and distance <= after:
+            yield stop
