@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from numbers import Integral, Real
 
 import numpy as np
 import numpy.typing as npt
 
 from hitchhike_ros.datatypes import FloatArray, NonNegative, Positive
 from hitchhike_ros.errors import ItineraryInputError
+
+_FARTHEST_M = 1e6  # beyond the largest map: sums of squares of whatever is nearer stay exact enough
 
 IndexArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -109,95 +113,129 @@ def checked(driver: AnnouncedDriver, now: float, max_age_s: float) -> AnnouncedD
         times[0] >= now - max_age_s, "times", float(times[0]), f"a path that begins at {now - max_age_s} s or later"
     )
     require(times[-1] > now, "times", float(times[-1]), f"a path that ends after now, {now} s")
-    require(driver.free_places >= 1, "free_places", driver.free_places, "a free place")
-    speed = driver.safe_speed_mps
-    require(math.isfinite(speed) and speed > 0, "safe_speed_mps", speed, "a finite speed > 0")
+    farthest = float(np.abs(path).max())
+    require(farthest < _FARTHEST_M, "path", farthest, f"coordinates below {_FARTHEST_M:.0e} m")
+    places, speed = driver.free_places, driver.safe_speed_mps
+    require(isinstance(places, Integral) and places >= 1, "free_places", places, "a free place")
+    known = isinstance(speed, Real) and math.isfinite(speed)
+    require(known and speed > 0, "safe_speed_mps", speed, "a finite speed > 0")
     if times[0] < now:
         here = [np.interp(now, times, path[:, axis]) for axis in (0, 1)]
         ahead = times > now
         path, times = np.vstack([here, path[ahead]]), np.concatenate([[now], times[ahead]])
-    return AnnouncedDriver(driver.id, path, times, driver.free_places, speed)
+    return AnnouncedDriver(driver.id, path, times, places, speed)
 
 
 def possible_rides(
-    drivers: tuple[AnnouncedDriver, ...], sites: FloatArray, start: FloatArray, goal: FloatArray, rules: RideRules
+    drivers: Sequence[AnnouncedDriver], sites: FloatArray, start: FloatArray, goal: FloatArray, rules: RideRules
 ) -> Rides:
     """All rides longer than ``min_ride_m`` over the paths of ``drivers`` as :func:`usable_drivers` gives them.
 
-    One may board and leave at ``sites`` (S, 2); where the rules allow it, leave at the driver's own nodes and the goal,
-    board at the start and at nodes of any path. A path passes a point where it is nearest to it and within
+    One may board and leave at ``sites`` (S, 2); where the rules allow it, leave at the nodes of the driver's path and
+    the goal, board at the start and at nodes of any path. A path passes a point where it is nearest to it and within
     ``site_tolerance_m``; one that comes back passes it again.
     """
-    empty = np.empty((0, 2))
-    nodes = np.concatenate([empty, *(driver.path for driver in drivers)])
-    common = (  # points, whether one may board there, whether one may leave there
+    # One chain of all paths: a knot on it is the index of a node, with a fraction between two.
+    nodes = np.concatenate([np.empty((0, 2)), *(driver.path for driver in drivers)])
+    whose = np.repeat(np.arange(len(drivers)), [len(driver.path) for driver in drivers])
+    place, knot, may_board, may_leave = _stops(nodes, whose, sites, start, goal, rules)
+    its_driver = whose[knot.astype(np.int64)]
+    arc, time, hurried, ridden = (_between(clock, knot) for clock in _clocks(drivers, rules))
+    begins, ends = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    for first, last in pairwise(np.searchsorted(its_driver, np.arange(len(drivers) + 1)).tolist()):
+        board = first + np.flatnonzero(may_board[first:last])
+        leave = first + np.flatnonzero(may_leave[first:last])
+        i, j = np.nonzero(arc[leave] - arc[board, None] > rules.min_ride_m)
+        begins.append(board[i])
+        ends.append(leave[j])
+    begin, end = np.concatenate(begins), np.concatenate(ends)
+    new = np.diff(begin, prepend=-1) > 0
+    boardings = begin[new]
+    points, number = _distinct(place)
+    return Rides(
+        points=points,
+        driver=its_driver[boardings],
+        at=number[boardings],
+        time=time[boardings],
+        earliest=hurried[boardings],
+        boarding=np.cumsum(new) - 1,
+        to=number[end],
+        metres=arc[end] - arc[begin],
+        duration=rules.couple_s + (ridden[end] - ridden[begin]) + rules.decouple_s,
+    )
+
+
+def _stops(
+    nodes: FloatArray, whose: IndexArray, sites: FloatArray, start: FloatArray, goal: FloatArray, rules: RideRules
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Where rides may begin or end, along the chain: points (K, 2), knots, whether one may board, and leave, (K,)."""
+    groups = (  # points of whichever path passes them, whether one may board there, whether one may leave there
         (sites, True, True),
-        (nodes if rules.board_anywhere else empty, True, rules.leave_anywhere),
         (start[None], rules.board_anywhere, False),
         (goal[None], False, rules.leave_anywhere),
+        (nodes[: len(nodes) if rules.board_anywhere else 0], True, rules.leave_anywhere),
     )
-    its_own = rules.leave_anywhere and not rules.board_anywhere
-    columns, places = [], []
-    boardings = passages = 0
-    for k, driver in enumerate(drivers):
-        groups = (*common, (driver.path if its_own else empty, False, True))
-        place = np.concatenate([group[0] for group in groups])
-        may_board = np.concatenate([np.full(len(points), board) for points, board, _ in groups])
-        may_leave = np.concatenate([np.full(len(points), leave) for points, _, leave in groups])
-        which, knot = _passed(driver, place, rules.site_tolerance_m)
-        places.append(place[which])
-        at, time, earliest, boarding, to, metres, duration = _rides_of(
-            driver, knot, may_board[which], may_leave[which], rules
-        )
-        whose = np.full(len(at), k)
-        columns.append((whose, at + passages, time, earliest, boarding + boardings, to + passages, metres, duration))
-        passages, boardings = passages + len(which), boardings + len(at)
-    points, number = np.unique(np.concatenate([empty, *places]), axis=0, return_inverse=True)
-    none = (*[np.empty(0, np.int64)] * 2, *[np.empty(0)] * 2, *[np.empty(0, np.int64)] * 2, *[np.empty(0)] * 2)
-    whose, at, time, earliest, boarding, to, metres, duration = map(np.concatenate, zip(none, *columns, strict=True))
-    number = number.reshape(-1)
-    return Rides(points, whose, number[at], time, earliest, boarding, number[to], metres, duration)
+    places, number = _distinct(np.concatenate([points for points, *_ in groups]))
+    boards, leaves = np.zeros((2, len(places)), dtype=bool)
+    bounds = np.cumsum([len(points) for points, *_ in groups])
+    for (_, board, leave), its in zip(groups, np.split(number, bounds[:-1]), strict=True):
+        boards[its] |= board
+        leaves[its] |= leave
+    place, knot = _passed(nodes, whose[:-1] == whose[1:], places, rules.site_tolerance_m)
+    points, may_board, may_leave = places[place], boards[place], leaves[place]
+    if rules.leave_anywhere and not rules.board_anywhere:  # then a node is its own driver's alone
+        points, knot = np.concatenate([points, nodes]), np.concatenate([knot, np.arange(len(nodes))])
+        may_board = np.concatenate([may_board, np.zeros(len(nodes), dtype=bool)])
+        may_leave = np.concatenate([may_leave, np.ones(len(nodes), dtype=bool)])
+    order = np.argsort(knot, kind="stable")
+    return points[order], knot[order], may_board[order], may_leave[order]
 
 
-def _rides_of(
-    driver: AnnouncedDriver, knot: FloatArray, may_board: BoolArray, may_leave: BoolArray, rules: RideRules
-) -> tuple[IndexArray, FloatArray, FloatArray, IndexArray, IndexArray, FloatArray, FloatArray]:
-    """One driver's columns of :class:`Rides`, points and boardings counted among its passages and its boardings.
+def _distinct(points: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """The different ones of ``points`` (K, 2), and the index (K,) of each point among them."""
+    different, number = np.unique(points, axis=0, return_inverse=True)
+    return different, number.reshape(-1)
 
-    A passage (K of them) is at ``knot`` (K,): the index of a node of the path, with a fraction between two.
+
+def _between(values: FloatArray, knot: FloatArray) -> FloatArray:
+    """Values of nodes (N,) at knots (K,)."""
+    return np.interp(knot, np.arange(len(values)), values) if len(values) else np.empty(0)
+
+
+def _clocks(drivers: Sequence[AnnouncedDriver], rules: RideRules) -> Iterator[FloatArray]:
+    """At every node of the chain: metres, time announced, time if the driver hurries, time that a pair needs, (N,)."""
+    columns: list[tuple[FloatArray, ...]] = [(np.empty(0),) * 4]
+    for driver in drivers:
+        lengths = np.hypot(*np.diff(driver.path, axis=0).T)
+        steps = np.diff(driver.times)
+        # A driver that stands at a place does so for a reason of its own: it does not hurry there.
+        hurried = np.where(lengths > 0, np.minimum(steps, lengths / driver.safe_speed_mps), steps)
+        coupled = np.maximum(steps, lengths / rules.ride_speed_mps)
+        sums = np.zeros((3, len(driver.path)))
+        np.cumsum([lengths, hurried, coupled], axis=1, out=sums[:, 1:])
+        columns.append((sums[0], driver.times, driver.times[0] + sums[1], sums[2]))
+    return map(np.concatenate, zip(*columns, strict=True))
+
+
+def _passed(
+    nodes: FloatArray, joined: BoolArray, places: FloatArray, tolerance_m: float
+) -> tuple[IndexArray, FloatArray]:
+    """Which of ``places`` (P, 2) the chain passes, and where on it, both (K,).
+
+    The chain is ``nodes`` (N, 2); ``joined`` (N - 1,) says between which there is a segment.
     """
-    lengths = np.linalg.norm(np.diff(driver.path, axis=0), axis=1)
-    steps = np.diff(driver.times)
-    # A driver that stands at a place does so for a reason of its own: it does not hurry there.
-    hurried = np.where(lengths > 0, np.minimum(steps, lengths / driver.safe_speed_mps), steps)
-    coupled = np.maximum(steps, lengths / rules.ride_speed_mps)
-    indices = np.arange(len(driver.path))
-    time = np.interp(knot, indices, driver.times)
-    arc, earliest, ridden = (
-        np.interp(knot, indices, np.concatenate([[0.0], np.cumsum(each)])) for each in (lengths, hurried, coupled)
-    )
-    board, leave = np.flatnonzero(may_board), np.flatnonzero(may_leave)
-    metres = arc[leave] - arc[board, None]
-    long_enough = metres > rules.min_ride_m
-    offered = long_enough.any(axis=1)
-    i, j = np.nonzero(long_enough)
-    begin, end = board[offered], leave[j]
-    boarding = (np.cumsum(offered) - 1)[i]
-    duration = rules.couple_s + (ridden[end] - ridden[board[i]]) + rules.decouple_s
-    return begin, time[begin], driver.times[0] + earliest[begin], boarding, end, metres[i, j], duration
-
-
-def _passed(driver: AnnouncedDriver, places: FloatArray, tolerance_m: float) -> tuple[IndexArray, FloatArray]:
-    """Which of ``places`` (P, 2) the path passes, and where: node index with a fraction; both (K,)."""
-    begin, along = driver.path[:-1], np.diff(driver.path, axis=0)
-    square = (along**2).sum(axis=1)
-    offset = places[:, None] - begin  # (P, segments, 2)
-    fraction = np.divide((offset * along).sum(axis=2), square, out=np.zeros(offset.shape[:2]), where=square > 0)
+    if len(nodes) < 2:
+        return np.empty(0, np.int64), np.empty(0)
+    begin, along = nodes[:-1].T[:, None], np.diff(nodes, axis=0).T[:, None]  # (2, 1, segments)
+    square = (along**2).sum(axis=0)
+    offset = places.T[:, :, None] - begin  # (2, P, segments)
+    fraction = (offset[0] * along[0] + offset[1] * along[1]) / np.where(square > 0, square, 1.0)
     fraction = np.clip(fraction, 0.0, 1.0)
-    distance = np.linalg.norm(offset - fraction[..., None] * along, axis=2)
-    edge = np.full((len(places), 1), np.inf)
-    before, after = np.hstack([edge, distance[:, :-1]]), np.hstack([distance[:, 1:], edge])
-    place, segment = np.nonzero((distance <= tolerance_m) & (distance < before) & (distance <= after))
+    offset -= fraction * along
+    distance = np.full((len(places), len(joined) + 2), np.inf)
+    distance[:, 1:-1] = np.where(joined, np.hypot(offset[0], offset[1]), np.inf)
+    before, here, after = distance[:, :-2], distance[:, 1:-1], distance[:, 2:]
+    place, segment = np.nonzero((here <= tolerance_m) & (here < before) & (here <= after))
     return place, segment + fraction[place, segment]
 
 

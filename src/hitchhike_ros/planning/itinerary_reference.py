@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from hitchhike_ros.planning.announced import AnnouncedDriver
+from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules
 from hitchhike_ros.planning.itinerary import ItineraryParameters, Point, Request, SoloMetres
 
 # A driver at a point of its path: the point, metres along the path, time announced, time if it hurries, time that a
@@ -24,7 +25,7 @@ def cheapest(
 ) -> float:
     """Cost of the best itinerary, inf where there is none; arguments as of ``plan_itinerary``."""
     rules, costs = parameters.rules, parameters.costs
-    stops = [list(_stops(driver, drivers, request, parameters)) for driver in drivers]
+    stops = [list(_stops(driver, drivers, request, rules)) for driver in drivers]
     known: dict[tuple[Point, Point], float] = {}
 
     def metres(a: Point, b: Point) -> float:
@@ -61,51 +62,55 @@ def cheapest(
 
 
 def _stops(
-    driver: AnnouncedDriver, drivers: Sequence[AnnouncedDriver], request: Request, parameters: ItineraryParameters
+    driver: AnnouncedDriver, drivers: Sequence[AnnouncedDriver], request: Request, rules: RideRules
 ) -> Iterator[_Stop]:
-    rules = parameters.rules
-    for x, y in np.reshape(request.sites, (-1, 2)).tolist():
-        yield from _passages(driver, (x, y), True, True, parameters)
+    points = [(request.start, rules.board_anywhere, False), (request.goal, False, rules.leave_anywhere)]
+    points += [((x, y), True, True) for x, y in np.reshape(request.sites, (-1, 2)).tolist()]
     if rules.board_anywhere:
-        yield from _passages(driver, request.start, True, False, parameters)
-        for each in drivers:
-            for x, y in each.path.tolist():
-                yield from _passages(driver, (x, y), True, rules.leave_anywhere, parameters)
-    if rules.leave_anywhere:
-        yield from _passages(driver, request.goal, False, True, parameters)
-        for x, y in driver.path.tolist():
-            yield from _passages(driver, (x, y), False, True, parameters)
+        points += [((x, y), True, rules.leave_anywhere) for each in drivers for x, y in each.path.tolist()]
+    else:
+        for node, (x, y) in enumerate(driver.path.tolist()):
+            segment = max(node - 1, 0)
+            yield _stop(driver, (x, y), segment, node - segment, False, rules.leave_anywhere, rules)
+    for point, may_board, may_leave in points:
+        for segment, share in _passages(driver, point, rules.site_tolerance_m):
+            yield _stop(driver, point, segment, share, may_board, may_leave, rules)
 
 
-def _passages(
-    driver: AnnouncedDriver, point: Point, may_board: bool, may_leave: bool, parameters: ItineraryParameters
-) -> Iterator[_Stop]:
-    """Every passage of the path by the point: where it comes nearest, if that is near enough."""
-    path, times, rules = driver.path.tolist(), driver.times.tolist(), parameters.rules
-    arc, hurried, ridden = 0.0, times[0], 0.0
-    along = []  # of every segment: distance of the point, and the stop nearest to it
-    for a, b, begin, end in zip(path[:-1], path[1:], times[:-1], times[1:], strict=True):
+def _stop(
+    driver: AnnouncedDriver,
+    point: Point,
+    segment: int,
+    share: float,
+    may_board: bool,
+    may_leave: bool,
+    rules: RideRules,
+) -> _Stop:
+    """The stop at ``share`` of a segment of the path."""
+    path, times = driver.path.tolist(), driver.times.tolist()
+    arc, time, earliest, ridden = 0.0, times[0], times[0], 0.0
+    for i in range(segment + 1):
+        part = share if i == segment else 1.0
+        length, duration = math.dist(path[i], path[i + 1]), times[i + 1] - times[i]
+        arc += part * length
+        time += part * duration
+        earliest += part * (min(duration, length / driver.safe_speed_mps) if length > 0 else duration)
+        ridden += part * max(duration, length / rules.ride_speed_mps)
+    return point, arc, time, earliest, ridden, may_board, may_leave
+
+
+def _passages(driver: AnnouncedDriver, point: Point, tolerance_m: float) -> Iterator[tuple[int, float]]:
+    """Segment and share of every passage of the path by the point: where it comes nearest, if that is near enough."""
+    nearest = []
+    for a, b in pairwise(driver.path.tolist()):
         length = math.dist(a, b)
         share = 0.0
         if length > 0:
             share = ((point[0] - a[0]) * (b[0] - a[0]) + (point[1] - a[1]) * (b[1] - a[1])) / length**2
             share = min(1.0, max(0.0, share))
-        foot = (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-        duration = end - begin
-        fast = min(duration, length / driver.safe_speed_mps) if length > 0 else duration
-        slow = max(duration, length / rules.ride_speed_mps)
-        along.append(
-            (
-                math.dist(point, foot),
-                (
-                    *(point, arc + share * length, begin + share * duration),
-                    *(hurried + share * fast, ridden + share * slow, may_board, may_leave),
-                ),
-            )
-        )
-        arc, hurried, ridden = arc + length, hurried + fast, ridden + slow
-    for i, (distance, stop) in enumerate(along):
-        before = along[i - 1][0] if i else math.inf
-        after = along[i + 1][0] if i + 1 < len(along) else math.inf
-        if distance <= rules.site_tolerance_m and distance < before and distance <= after:
-            yield stop
+        nearest.append((math.dist(point, (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))), share))
+    for i, (distance, share) in enumerate(nearest):
+        before = nearest[i - 1][0] if i else math.inf
+        after = nearest[i + 1][0] if i + 1 < len(nearest) else math.inf
+        if distance <= tolerance_m and distance < before and distance <= after:
+            yield i, share
