@@ -42,36 +42,36 @@ def run(options: Options, progress: Progress) -> Sequence[Figure]:
 
 
 def small_fleet(seed: int) -> tuple[Request, tuple[AnnouncedDriver, ...], ItineraryParameters]:
-    """Up to six drivers between the points of a coarse grid, so that paths share nodes; rules and costs at random."""
+    """Two to six drivers between points of a coarse grid, so that paths share nodes; rules and costs at random."""
     random = np.random.default_rng(seed)
-    crossings = 12.0 * np.stack(np.meshgrid(np.arange(4), np.arange(4)), axis=-1).reshape(-1, 2)
-    start, goal = crossings[random.integers(0, 4)], crossings[random.integers(12, 16)]
-    sites = random.choice(crossings, int(random.integers(0, 5)), replace=False)
+    crossings = 12.0 * np.stack(np.meshgrid(np.arange(3), np.arange(6)), axis=-1).reshape(-1, 2)
+    start, goal = crossings[random.integers(0, 3)], crossings[random.integers(15, 18)]
+    sites = random.choice(crossings, int(random.integers(0, 7)), replace=False)
     drivers = []
-    for k in range(int(random.integers(1, 7))):
-        path = random.choice(crossings, int(random.integers(2, 5)), replace=False)
-        if random.random() < 0.8:  # the hitchhiker's way
+    for k in range(int(random.integers(2, 7))):
+        path = random.choice(crossings, int(random.integers(2, 4)), replace=False)
+        if random.random() < 0.9:  # the hitchhiker's way
             path = path[np.argsort(path[:, 1], kind="stable")]
         path = path + random.normal(0.0, 0.2, path.shape) * (random.random() < 0.3)
         lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        times = random.uniform(0.0, 60.0) + np.concatenate([[0.0], np.cumsum(lengths / random.uniform(0.4, 0.9))])
+        times = random.uniform(0.0, 90.0) + np.concatenate([[0.0], np.cumsum(lengths / random.uniform(0.4, 0.9))])
         drivers.append(AnnouncedDriver(f"driver{k}", path, times, safe_speed_mps=float(random.uniform(0.4, 1.2))))
     request = Request(
         (float(start[0]), float(start[1])),
         (float(goal[0]), float(goal[1])),
-        solo_speed_mps=float(random.uniform(0.2, 0.9)),
+        solo_speed_mps=float(random.uniform(0.2, 0.7)),
         sites=sites,
         now=0.0,
     )
     rules = RideRules(
-        min_ride_m=random.uniform(0.0, 15.0),
-        max_wait_s=random.uniform(10.0, 120.0),
+        min_ride_m=random.uniform(0.0, 13.0),
+        max_wait_s=random.uniform(20.0, 120.0),
         couple_s=random.uniform(0.0, 5.0),
         decouple_s=random.uniform(0.0, 5.0),
         board_anywhere=bool(random.random() < 0.5),
         leave_anywhere=bool(random.random() < 0.7),
     )
-    costs = ItineraryCosts(*random.uniform([0.0, 1.0, 0.0, 0.0, 0.0], [1.0, 6.0, 0.5, 0.5, 10.0]).tolist())
+    costs = ItineraryCosts(*random.uniform([0.0, 2.0, 0.0, 0.0, 0.0], [1.0, 12.0, 0.5, 0.5, 10.0]).tolist())
     return request, tuple(drivers), ItineraryParameters(rules, costs)
 
 

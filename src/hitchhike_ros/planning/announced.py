@@ -132,7 +132,7 @@ def possible_rides(
     """All rides longer than ``min_ride_m`` over the paths of ``drivers`` as :func:`usable_drivers` gives them.
 
     One may board and leave at ``sites`` (S, 2); where the rules allow it, leave at the nodes of the driver's path and
-    the goal, board at the start and at nodes of any path. A path passes a point where it is nearest to it and within
+    the goal, board at the start and at nodes of any path. A path passes a point where it comes nearest to it, within
     ``site_tolerance_m``; one that comes back passes it again.
     """
     # One chain of all paths: a knot on it is the index of a node, with a fraction between two.
@@ -232,10 +232,12 @@ def _passed(
     fraction = (offset[0] * along[0] + offset[1] * along[1]) / np.where(square > 0, square, 1.0)
     fraction = np.clip(fraction, 0.0, 1.0)
     offset -= fraction * along
-    distance = np.full((len(places), len(joined) + 2), np.inf)
-    distance[:, 1:-1] = np.where(joined, np.hypot(offset[0], offset[1]), np.inf)
-    before, here, after = distance[:, :-2], distance[:, 1:-1], distance[:, 2:]
-    place, segment = np.nonzero((here <= tolerance_m) & (here < before) & (here <= after))
+    near = joined & (np.hypot(offset[0], offset[1]) <= tolerance_m)
+    # Nearest within a segment; at a node that one segment comes nearer to and the next one leaves; at either end.
+    first, last = np.append(True, ~joined[:-1]), np.append(~joined[1:], True)
+    leaves_next = np.hstack([fraction[:, 1:] == 0, np.ones((len(places), 1), dtype=bool)]) | last
+    nearest = np.where(fraction == 1, leaves_next, (fraction > 0) | first)
+    place, segment = np.nonzero(near & nearest)
     return place, segment + fraction[place, segment]
 
 

@@ -184,7 +184,7 @@ class _Search:
             looked_at += 1
             label = heapq.heappop(heap)[2]
             row = self._row(label)
-            alike = compared.setdefault((row, label.time), [])
+            alike = compared.setdefault((row, round(label.time, 9)), [])
             if any(other.cost <= label.cost and not other.used & ~label.used for other in alike):
                 continue
             alike.append(label)

@@ -110,7 +110,9 @@ def _passages(driver: AnnouncedDriver, point: Point, tolerance_m: float) -> Iter
             share = min(1.0, max(0.0, share))
         nearest.append((math.dist(point, (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))), share))
     for i, (distance, share) in enumerate(nearest):
-        before = nearest[i - 1][0] if i else math.inf
-        after = nearest[i + 1][0] if i + 1 < len(nearest) else math.inf
-        if distance <= tolerance_m and distance < before and distance <= after:
+        comes_nearer_after = i + 1 < len(nearest) and nearest[i + 1][1] > 0
+        within = 0 < share < 1
+        at_begin = share == 0 and i == 0
+        at_end = share == 1 and not comes_nearer_after
+        if distance <= tolerance_m and (within or at_begin or at_end):
             yield i, share
