@@ -2,8 +2,8 @@
 
 Full rides, partial rides (P18 §5) and rides with several drivers (P18 §6) are one problem: a sequence of rides, each
 with another driver, joined by stretches driven alone. Whoever is first at a boarding point waits, a bounded time; a
-driver with time to spare hurries or dawdles to meet the hitchhiker there. The papers' points come out of the costs:
-h and h2 are the nearest common nodes and h3 is the farthest, where metres driven alone are what counts.
+driver may hurry or dawdle on its way there, so as to arrive when the hitchhiker does. The papers' points come out of
+the costs: h and h2 are the nearest common nodes, and h3 is the farthest, where metres driven alone are what counts.
 
 The search is best first over labels (point, time, cost, drivers ridden with) where a ride ends. What is still to come
 is bounded from below by the best itinerary that needs no wait. As waiting is bounded, an earlier label does not replace
