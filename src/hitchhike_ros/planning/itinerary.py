@@ -176,7 +176,8 @@ class _Search:
         best, bound = None, math.inf
         serial = 0  # labels of equal bounds come in the order they were found
         heap = [(0.0, serial, _Label(0.0, self.request.now))]
-        compared: dict[tuple[int, float], list[_Label]] = {}
+        # Drivers ridden with on the way to a point and time. Labels of one point come in the order of their costs.
+        known: dict[tuple[int, float], list[int]] = {}
         looked_at = 0
         while heap and heap[0][0] < bound - _EQUAL:
             if looked_at == self.max_labels:
@@ -184,10 +185,10 @@ class _Search:
             looked_at += 1
             label = heapq.heappop(heap)[2]
             row = self._row(label)
-            alike = compared.setdefault((row, round(label.time, 9)), [])
-            if any(other.cost <= label.cost and not other.used & ~label.used for other in alike):
+            alike = known.setdefault((row, round(label.time, 9)), [])
+            if any(not used & ~label.used for used in alike):
                 continue
-            alike.append(label)
+            alike.append(label.used)
             if label.cost + self.solo_cost[row, -1] < bound - _EQUAL:
                 best, bound = label, float(label.cost + self.solo_cost[row, -1])
             cost, time = self._board(label, row)
