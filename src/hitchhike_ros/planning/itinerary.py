@@ -169,7 +169,12 @@ class _Search:
         per_metre = self.costs.solo_per_m + self.costs.arrival_per_s / request.solo_speed_mps
         self.solo_cost = np.where(np.isfinite(self.metres), per_metre * self.metres, np.inf)
         self.ride_cost = self.costs.arrival_per_s * rides.duration + self.costs.change
-        self.to_go = self._to_go()
+        # Rides first[b] to first[b + 1] begin with boarding b.
+        self.first = np.searchsorted(rides.boarding, np.arange(len(rides.at) + 1)).tolist()
+        # Of each ride from its boarding on, and the least of each boarding: cost if no other follows, and a bound.
+        self.ride_end = self.ride_cost + self.solo_cost[self.row, -1]
+        self.ride_to_go = self.ride_cost + self._to_go()[self.row]
+        self.least_end, self.least_to_go = self._least(self.ride_end), self._least(self.ride_to_go)
 
     def run(self) -> tuple[_Label | None, bool]:
         """The label whose way alone to the goal ends the best itinerary, and whether none can be better."""
@@ -192,18 +197,20 @@ class _Search:
             if label.cost + self.solo_cost[row, -1] < bound - _EQUAL:
                 best, bound = label, float(label.cost + self.solo_cost[row, -1])
             cost, time = self._board(label, row)
-            cost = cost[self.rides.boarding] + self.ride_cost
             if not len(cost):
                 continue
-            ends = cost + self.solo_cost[self.row, -1]
+            ends = cost + self.least_end
             least = int(ends.argmin())
             if ends[least] < bound - _EQUAL:
-                best, bound = self._ride(label, least, cost, time), float(ends[least])
-            estimate = cost + self.to_go[self.row]
-            worth = np.flatnonzero(estimate < bound - _EQUAL)
-            for k, value in zip(worth.tolist(), estimate[worth].tolist(), strict=True):
-                serial += 1
-                heapq.heappush(heap, (value, serial, self._ride(label, k, cost, time)))
+                ride = self.first[least] + int(self.ride_end[self.first[least] : self.first[least + 1]].argmin())
+                best, bound = self._ride(label, ride, cost, time), float(ends[least])
+            for boarding in np.flatnonzero(cost + self.least_to_go < bound - _EQUAL).tolist():
+                its = slice(self.first[boarding], self.first[boarding + 1])
+                estimate = cost[boarding] + self.ride_to_go[its]
+                worth = np.flatnonzero(estimate < bound - _EQUAL)
+                for k, value in zip(worth.tolist(), estimate[worth].tolist(), strict=True):
+                    serial += 1
+                    heapq.heappush(heap, (value, serial, self._ride(label, its.start + k, cost, time)))
         return best, True
 
     def itinerary(self, last: _Label, drivers: Sequence[str], optimal: bool) -> Itinerary:
@@ -239,15 +246,18 @@ class _Search:
         to_go = self.solo_cost[:, -1].copy()
         if not len(self.rides.to):
             return to_go
-        first = np.searchsorted(self.rides.boarding, np.arange(len(self.rides.at)))
         while True:
-            from_boarding = np.minimum.reduceat(self.ride_cost + to_go[self.row], first)
+            from_boarding = self._least(self.ride_cost + to_go[self.row])
             from_board = np.full(self.solo_cost.shape[1] - 1, np.inf)
             np.minimum.at(from_board, self.column, from_boarding)
             better = np.minimum(to_go, (self.solo_cost[:, :-1] + from_board).min(axis=1))
             if (better >= to_go - _EQUAL).all():
                 return better
             to_go = better
+
+    def _least(self, of_rides: FloatArray) -> FloatArray:
+        """The least value (B,) of the rides (R,) of each boarding."""
+        return np.minimum.reduceat(of_rides, self.first[:-1]) if len(of_rides) else of_rides
 
     def _board(self, label: _Label, row: int) -> tuple[FloatArray, FloatArray]:
         """Cost so far and time (B,) of each boarding that may come next, the cost inf where it may not."""
@@ -267,7 +277,8 @@ class _Search:
     def _ride(self, label: _Label, ride: int, cost: FloatArray, time: FloatArray) -> _Label:
         boarding = int(self.rides.boarding[ride])
         ends = float(time[boarding]) + float(self.rides.duration[ride])
-        return _Label(float(cost[ride]), ends, ride, label.used | 1 << int(self.rides.driver[boarding]), label)
+        spent = float(cost[boarding] + self.ride_cost[ride])
+        return _Label(spent, ends, ride, label.used | 1 << int(self.rides.driver[boarding]), label)
 
     def _row(self, label: _Label) -> int:
         return int(self.row[label.ride]) if label.ride >= 0 else len(self.metres) - 1
