@@ -7,7 +7,10 @@ the costs: h and h2 are the nearest common nodes, and h3 is the farthest, where 
 
 The search is best first over labels (point, time, cost, drivers ridden with) where a ride ends. What is still to come
 is bounded from below by the best itinerary that needs no wait. As waiting is bounded, an earlier label does not replace
-a later one that costs more; labels are compared at equal times only.
+a later one that costs more; labels are compared at equal times only. Many points side by side, as where one may board
+anywhere and paths share a corridor but no node, therefore make it slow: ``max_labels`` bounds it.
+
+A plan holds for what was announced. When a driver is late, gone or refuses, plan again with the drivers that are left.
 """
 
 from __future__ import annotations
