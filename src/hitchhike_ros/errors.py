@@ -52,6 +52,14 @@ class UnreachableError(PlanningError):
     """Both ends are free, but no path joins them."""
 
 
+class ItineraryInputError(PlanningError):
+    """What a robot announced or asked for cannot be planned with: it names the robot, the field and its value."""
+
+    def __init__(self, robot: str, field: str, value: object, expected: str) -> None:
+        self.robot, self.field, self.value, self.expected = robot, field, value, expected
+        super().__init__(f"{robot}: {field} is {value!r}, expected {expected}")
+
+
 class MessageError(HitchhikeError):
     """A network message cannot be read or is not acceptable."""
 

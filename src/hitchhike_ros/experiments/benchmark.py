@@ -13,7 +13,7 @@ from hitchhike_ros.experiments.figures import Figure
 # Says what is being done, and how far: step, done, of so many.
 Progress = Callable[[str, int, int], None]
 
-NAMES: tuple[str, ...] = ("planning", "localization", "mapping", "avoidance", "tracking", "following")
+NAMES: tuple[str, ...] = ("planning", "localization", "mapping", "avoidance", "tracking", "following", "itineraries")
 
 
 @dataclass(frozen=True)
