@@ -5,7 +5,6 @@ They know no ROS, no clock and no thread, so nodes, simulations and tests step t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, ClassVar, Generic, TypeVar
@@ -210,14 +209,3 @@ class Machine(Generic[S]):
 def stamped(message: Message, seq: int, now: float) -> Message:
     """``message`` with its place in the sender's sequence and its time."""
     return replace(message, seq=seq, time_stamp=now)
-
-
-def diagram(machine: type[Machine[Any]]) -> Iterable[tuple[str, str, str]]:
-    """The table as edges (state, event, target), for drawing."""
-    for row in machine.ROWS:
-        for state in row.states:
-            for target in row.targets:
-                yield state.value, row.event.__name__, target.value
-    for timeout in machine.TIMEOUTS:
-        for target in timeout.targets:
-            yield timeout.state.value, timeout.limit, target.value
