@@ -12,6 +12,7 @@ from protocol_helpers import BOXES, DRIVER, DRIVER_GOAL, RIDER, SITES, Bench, co
 
 from hitchhike_ros.datatypes import FloatArray, Pose2D
 from hitchhike_ros.errors import UnreachableError
+from hitchhike_ros.geometry import compose
 from hitchhike_ros.protocol import driver as d
 from hitchhike_ros.protocol.driver import ENGAGED, WITH_RIDER, DriverMachine, DriverState
 from hitchhike_ros.protocol.machine import Award, GoalCancelled, GoalGiven, Tick
@@ -371,6 +372,17 @@ def test_a_ride_can_end_in_every_state(state: DriverState, event: Any, then: Dri
     assert (bench.machine.state, bench.machine.offer) == (then, None)
     ends = bench.take((Award, Terminate))
     assert [type(e) for e in ends] == [Terminate] * (event is not Terminate) + [Award] * (state in WITH_RIDER)
+
+
+@pytest.mark.parametrize(("aside", "farther_m"), [((0.2, 0.05), 0.2), ((-0.3, 0.0), 0.0), ((2.0, 0.0), 0.5)])
+def test_the_driver_aligns_ahead_of_where_the_hitchhiker_stands(aside: tuple[float, float], farther_m: float) -> None:
+    """The gap has to open ahead of it: it does not go back. What is missing behind, it closes by itself."""
+    bench, place = driver_in(S.NAVIGATING), SITES.hitchhiking_points[0]
+    here = compose(place.waiting_pose, Pose2D(*aside))
+    bench.hear(Request, x=here.x, y=here.y, theta=here.theta)
+    bench.hear(Lock)
+    assert bench.machine.state is S.ALIGNING
+    assert bench.machine.goal.pose == compose(place.aligning_pose, Pose2D(farther_m))
 
 
 @pytest.mark.parametrize("state", [S.OFFERING, S.ALIGNING, S.ALIGNED])

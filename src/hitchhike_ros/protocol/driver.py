@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
 from hitchhike_ros.datatypes import FloatArray, HitchhikingPoint, Pose2D
 from hitchhike_ros.errors import PlanningError
-from hitchhike_ros.geometry import distance, point_in_polygon
+from hitchhike_ros.geometry import between, compose, distance, point_in_polygon
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.overlap import common_stretch
 from hitchhike_ros.protocol.machine import (
@@ -59,6 +59,8 @@ ASKED_ANEW = "Hitchhiker asks anew"
 
 # The driver aligns this well, so that the hitchhiker finds the marker in front of it (chosen).
 _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD = 0.08, 0.06
+# A hitchhiker may stand so far ahead of its waiting place (chosen): it sees nothing behind itself and does not go back.
+_AHEAD_M = 0.5
 # Where exactly a ride ends does not matter, but a driver that turned for the last centimetres would lose its rider.
 _RIDE_TOLERANCE_M = 0.25
 # Steps of the driver's own pose that count as metres ridden: noise of a standing robot does not.
@@ -87,7 +89,7 @@ ENGAGED = (S.OFFERING, S.ALIGNING, S.ALIGNED, *WITH_RIDER)
 
 @dataclass(frozen=True, eq=False)
 class Offer:
-    """A ride that was offered: to whom, from which point, how far."""
+    """A ride that was offered: to whom, from which point (aligned as the hitchhiker stands there), how far."""
 
     hitchhiker: str
     ride_id: str
@@ -392,6 +394,7 @@ class DriverMachine(Machine[DriverState]):
         if self.own_goal is None:
             return PATH_TOO_SHORT
         try:
+            point = _aligned_with(request.pose, point)
             own_path = self._planner(point.aligning_pose, self.own_goal)
             shared = common_stretch(
                 own_path, self._planner(request.pose, request.goal), self.params.overlap_tolerance_m
@@ -479,3 +482,9 @@ class DriverMachine(Machine[DriverState]):
         self._goals += 1
         self._own_goal_id = f"{self.robot_id}-{self._goals}-{self._now:.1f}"
         self._go(S.NAVIGATING, reason)
+
+
+def _aligned_with(hitchhiker: Pose2D, point: HitchhikingPoint) -> HitchhikingPoint:
+    """The point, aligned at farther on by what the hitchhiker stands ahead of its place; one behind comes up itself."""
+    ahead_m = min(max(between(point.waiting_pose, hitchhiker).x, 0.0), _AHEAD_M)
+    return replace(point, aligning_pose=compose(point.aligning_pose, Pose2D(ahead_m)))
