@@ -61,6 +61,8 @@ ASKED_ANEW = "Hitchhiker asks anew"
 _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD = 0.08, 0.06
 # A hitchhiker may stand so far ahead of its waiting place (chosen): it sees nothing behind itself and does not go back.
 _AHEAD_M = 0.5
+# Of a hitchhiker's camera from its base, at most (chosen).
+_CAMERA_M = 0.2
 # Where exactly a ride ends does not matter, but a driver that turned for the last centimetres would lose its rider.
 _RIDE_TOLERANCE_M = 0.25
 # Steps of the driver's own pose that count as metres ridden: noise of a standing robot does not.
@@ -394,7 +396,8 @@ class DriverMachine(Machine[DriverState]):
         if self.own_goal is None:
             return PATH_TOO_SHORT
         try:
-            point = _aligned_with(request.pose, point)
+            apart_m = self.params.gap_m - self._marker_pose.x + _CAMERA_M
+            point = _aligned_with(request.pose, point, apart_m)
             own_path = self._planner(point.aligning_pose, self.own_goal)
             shared = common_stretch(
                 own_path, self._planner(request.pose, request.goal), self.params.overlap_tolerance_m
@@ -484,7 +487,9 @@ class DriverMachine(Machine[DriverState]):
         self._go(S.NAVIGATING, reason)
 
 
-def _aligned_with(hitchhiker: Pose2D, point: HitchhikingPoint) -> HitchhikingPoint:
-    """The point, aligned at farther on by what the hitchhiker stands ahead of its place; one behind comes up itself."""
-    ahead_m = min(max(between(point.waiting_pose, hitchhiker).x, 0.0), _AHEAD_M)
-    return replace(point, aligning_pose=compose(point.aligning_pose, Pose2D(ahead_m)))
+def _aligned_with(hitchhiker: Pose2D, point: HitchhikingPoint, apart_m: float) -> HitchhikingPoint:
+    """The point, aligned at farther on where a hitchhiker ahead of its place would stand nearer than ``apart_m``."""
+    ahead_m = between(point.waiting_pose, hitchhiker).x
+    missing_m = apart_m - between(point.waiting_pose, point.aligning_pose).x + ahead_m
+    farther_m = min(max(min(ahead_m, missing_m), 0.0), _AHEAD_M)
+    return replace(point, aligning_pose=compose(point.aligning_pose, Pose2D(farther_m)))
