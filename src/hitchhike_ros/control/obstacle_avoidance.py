@@ -311,7 +311,7 @@ class ObstacleAvoidance:
         """Backwards on the free arc that is nearest to the one to the place ``back`` (robot's frame); None without."""
         p = self._params
         clearance = float(field.clearance(self._footprint, np.zeros(3)))
-        speed = min(p.recovery_backwards_mps, p.approach_backwards_mps, limits.max_speed_mps)
+        speed = min(p.recovery_backwards_mps, limits.max_speed_mps)
         wanted = -speed * 2.0 * back.y / (back.x**2 + back.y**2)
         omega = np.clip(wanted + _BACK_YAW_RATES, -limits.max_yaw_rate_rps, limits.max_yaw_rate_rps)
         targets = np.stack([np.full_like(omega, -speed), omega], axis=1)
