@@ -1,10 +1,11 @@
-"""The radio between simulated robots: each effect as often as its parameter says, and the same luck for the same seed."""
+"""The radio between simulated robots: each effect as often as its parameter says; a seed repeats all of them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -68,8 +69,8 @@ def test_never_and_always(p: str, copies: int) -> None:
 
 def test_neither_losses_nor_copies_come_in_bursts() -> None:
     lossy = [not copies for copies in sent(replace(CLEAN, loss=0.3), range(MANY))]
-    assert share(b for a, b in zip(lossy, lossy[1:], strict=False) if a) == pytest.approx(0.3, abs=0.03)
-    assert share(b for a, b in zip(lossy, lossy[1:], strict=False) if not a) == pytest.approx(0.3, abs=0.03)
+    assert share(b for a, b in pairwise(lossy) if a) == pytest.approx(0.3, abs=0.03)
+    assert share(b for a, b in pairwise(lossy) if not a) == pytest.approx(0.3, abs=0.03)
 
 
 @pytest.mark.parametrize("jitter_s", [0.02, 3.0])
@@ -103,7 +104,7 @@ def test_without_jitter_and_reordering_messages_keep_their_order(params: Network
 
 def test_reordered_messages_are_overtaken() -> None:
     arrived = sent(replace(CLEAN, reordering=0.2, reorder_delay_s=2.5), range(1000))
-    overtaken = [t for t, later in zip(arrived, arrived[1:], strict=False) if t > later]
+    overtaken = [t for t, later in pairwise(arrived) if t > later]
     assert 100 < len(overtaken) < 200  # every fifth, but for those whose next is late too
 
 

@@ -1,8 +1,8 @@
 """The radio between simulated robots: which copies of a message arrive, and when.
 
-The grid simulator and the node ``network_model`` ask the same model. What happens to the n-th message from one robot to
-another depends on the seed, on the two and on n alone: more messages elsewhere, or more loss, leave it as it is, so that
-runs can be compared message by message.
+The grid simulator and the node ``network_model`` ask the same model. What happens to the n-th message from one robot
+to another depends on the seed, on the two and on n alone: more messages elsewhere, or more loss, leave it as it is, so
+that runs can be compared message by message.
 """
 
 from __future__ import annotations
