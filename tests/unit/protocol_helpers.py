@@ -33,6 +33,7 @@ from hitchhike_ros.protocol.messages import (
     Lock,
     Message,
     NewObstacles,
+    Plate,
     Request,
     RequestCancel,
     Terminate,
@@ -53,6 +54,8 @@ SITES = Sites((Marker(10, 5.2, 6.62, 0.3, math.pi),), (WEST,))
 DRIVER_GOAL, RIDER_GOAL = Pose2D(25.0, 9.5, math.pi / 2), Pose2D(25.0, 2.5, -math.pi / 2)
 CAMERA = (0.15, 0.0)
 MARKER_POSE = Pose2D(-0.25, 0.0, math.pi)  # on the driver's back
+PLATE = Plate(marker_id=1, marker_size_m=0.16, marker_pose=MARKER_POSE)  # on the rider's
+PATH = ((3.0, 5.72, 0.0), (25.0, 5.72, 40.0), (25.0, 9.5, 47.0))  # the driver's
 BOXES = (
     Obstacle("obs1", 9.24, 6.08, 0.28, 0.16),
     Obstacle("obs2", 12.32, 5.16, 0.40, 0.44),
@@ -72,8 +75,17 @@ def messages(robot_id: str = DRIVER, to: str = RIDER, ride_id: str = "ride") -> 
     end = (23.0, 5.72)
     boxes = NewObstacles(obstacles=BOXES)
     every: tuple[Message, ...] = (
-        Beacon(**head, state="idle", profile=50.0, priority=10, pose=Pose2D(1.0, 2.0, 3.0), goal=DRIVER_GOAL),
-        Request(**head, x=1.8, y=5.72, theta=0.0, goal=RIDER_GOAL, profile=50.0),
+        Beacon(
+            **head,
+            state="idle",
+            profile=50.0,
+            priority=10,
+            pose=Pose2D(1.0, 2.0, 3.0),
+            goal=DRIVER_GOAL,
+            path=PATH,
+            free_places=1,
+        ),
+        Request(**head, x=1.8, y=5.72, theta=0.0, goal=RIDER_GOAL, profile=50.0, plate=PLATE),
         Accept(
             **head,
             **pose,
@@ -83,6 +95,7 @@ def messages(robot_id: str = DRIVER, to: str = RIDER, ride_id: str = "ride") -> 
             marker_id=0,
             marker_size_m=0.16,
             marker_pose=MARKER_POSE,
+            path=PATH,
         ),
         Deny(**head, reason="Path too short"),
         Lock(**head),
@@ -90,7 +103,7 @@ def messages(robot_id: str = DRIVER, to: str = RIDER, ride_id: str = "ride") -> 
         Aligned(**head, **pose, decouple_point=end),
         Coupled(**head, gap_m=0.8),
         Driver(**head, **pose, sigma=SIGMA, new_obstacles=boxes, v=0.5, ridden_m=1.0),
-        Ack(**head, of="driver", acknowledges=7, gap_m=0.8),
+        Ack(**head, of="driver", acknowledges=7, gap_m=0.8, seen=Pose2D(0.95, 0.0, math.pi), seen_sigma=SIGMA),
         Decouple(**head, **pose, sigma=SIGMA, new_obstacles=boxes, ridden_m=20.4),
         Terminate(**head, reason="Driver lost"),
     )

@@ -19,7 +19,20 @@ from hypothesis import strategies as st
 from protocol_helpers import messages
 
 from hitchhike_ros.errors import MessageError
-from hitchhike_ros.protocol.messages import MESSAGE_TYPES, Covariance, Driver, Message, Request, decode, encode
+from hitchhike_ros.protocol.messages import (
+    MESSAGE_TYPES,
+    Accept,
+    Ack,
+    Beacon,
+    Covariance,
+    Driver,
+    Lock,
+    Message,
+    Request,
+    Waypoints,
+    decode,
+    encode,
+)
 
 EXAMPLES = [pytest.param(message, id=message.type) for message in messages().values()]
 
@@ -30,10 +43,19 @@ def _covariances() -> st.SearchStrategy[Any]:
     return rows.map(lambda C: tuple(tuple(float(v) for v in row) for row in (C + C.T) / 2))
 
 
+def _paths() -> st.SearchStrategy[Any]:
+    point, step = st.floats(-1e6, 1e6), st.floats(1e-3, 1e3)
+    points = st.lists(st.tuples(point, point, step), min_size=2, max_size=4)
+    later = points.map(lambda ps: tuple((x, y, sum(p[2] for p in ps[:i])) for i, (x, y, _) in enumerate(ps)))
+    return st.just(()) | later
+
+
 def _strategy(hint: Any) -> st.SearchStrategy[Any]:
     """Values of a field's type within its bounds."""
     if hint == Covariance:
         return _covariances()
+    if hint == Waypoints:
+        return _paths()
     bounds: dict[str, Any] = {}
     if get_origin(hint) is Annotated:
         meta, hint = get_args(hint)[1], get_args(hint)[0]
@@ -152,6 +174,15 @@ def test_garbage_is_refused_with_what_was_expected(text: str, expected: str) -> 
         (Driver, "sigma", [[1, 2, 0], [0, 1, 0], [0, 0, 1]], "sigma is .*symmetric"),
         (Driver, "sigma", [[1e308, -1e308, 0], [1e308, 1, 0], [0, 0, 1]], "sigma is .*symmetric"),
         (Driver, "new_obstacles", {"obstacles": [{"id": "a", "x": 0, "y": 0, "w": -1, "b": 1}]}, ">= 0"),
+        (Driver, "place", 0, ">= 1"),
+        (Driver, "ahead", {"marker_id": 1, "marker_size_m": 0.1, "marker_pose": {"x": 1.0}}, "ahead.marker_pose is .*"),
+        (Ack, "seen_sigma", [[1, 0, 0], [0, -1, 0], [0, 0, 1]], "seen_sigma is .*positive semidefinite"),
+        (Lock, "in_s", -1.0, ">= 0"),
+        (Beacon, "free_places", -1, ">= 0"),
+        (Beacon, "path", [[1.0, 2.0, 0.0]], "path is .*two points or more"),
+        (Beacon, "path", [[1.0, 2.0, -3.0], [1.0, 2.0, 3.0]], ">= 0"),
+        (Accept, "path", [[1.0, 2.0, 3.0], [2.0, 2.0, 3.0]], "path is .*later than the one before"),
+        (Accept, "path", [[1.0, 2.0, float(i)] for i in range(501)], "length <= 500"),
     ],
 )
 def test_values_out_of_bounds_are_refused(cls: type[Message], field: str, value: Any, expected: str) -> None:

@@ -64,6 +64,8 @@ def small_fleet(seed: int) -> tuple[Request, tuple[AnnouncedDriver, ...], Itiner
         lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
         times = random.uniform(0.0, 90.0) + np.concatenate([[0.0], np.cumsum(lengths / random.uniform(0.4, 0.9))])
         drivers.append(AnnouncedDriver(f"driver{k}", path, times, safe_speed_mps=float(random.uniform(0.4, 1.2))))
+    if random.random() < 0.3:  # with a heading
+        sites = np.column_stack([sites, random.choice([0.0, 1.6, -1.6], len(sites))])
     request = Request(
         (float(start[0]), float(start[1])),
         (float(goal[0]), float(goal[1])),

@@ -133,7 +133,8 @@ def possible_rides(
 
     One may board and leave at ``sites`` (S, 2); where the rules allow it, leave at the nodes of the driver's path and
     the goal, board at the start and at nodes of any path. A path passes a point where it comes nearest to it, within
-    ``site_tolerance_m``; one that comes back passes it again.
+    ``site_tolerance_m``; one that comes back passes it again. Sites (S, 3) have a heading, and one boards there only
+    with a driver that goes on within 90° of it, unless one may board anywhere.
     """
     # One chain of all paths: a knot on it is the index of a node, with a fraction between two.
     nodes = np.concatenate([np.empty((0, 2)), *(driver.path for driver in drivers)])
@@ -170,7 +171,7 @@ def _stops(
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
     """Where rides may begin or end, along the chain: points (K, 2), knots, whether one may board, and leave, (K,)."""
     groups = (  # points of whichever path passes them, whether one may board there, whether one may leave there
-        (sites, True, True),
+        (sites[:, :2], True, True),
         (start[None], rules.board_anywhere, False),
         (goal[None], False, rules.leave_anywhere),
         (nodes[: len(nodes) if rules.board_anywhere else 0], True, rules.leave_anywhere),
@@ -183,12 +184,22 @@ def _stops(
         leaves[its] |= leave
     place, knot = _passed(nodes, whose[:-1] == whose[1:], places, rules.site_tolerance_m)
     points, may_board, may_leave = places[place], boards[place], leaves[place]
+    if sites.shape[1] == 3 and not rules.board_anywhere:
+        headings = np.zeros(len(places))
+        headings[number[: len(sites)]] = sites[:, 2]
+        may_board = may_board & _goes_on(nodes, knot, headings[place])
     if rules.leave_anywhere and not rules.board_anywhere:  # then a node is its own driver's alone
         points, knot = np.concatenate([points, nodes]), np.concatenate([knot, np.arange(len(nodes))])
         may_board = np.concatenate([may_board, np.zeros(len(nodes), dtype=bool)])
         may_leave = np.concatenate([may_leave, np.ones(len(nodes), dtype=bool)])
     order = np.argsort(knot, kind="stable")
     return points[order], knot[order], may_board[order], may_leave[order]
+
+
+def _goes_on(nodes: FloatArray, knot: FloatArray, heading: FloatArray) -> BoolArray:
+    """Whether the chain of ``nodes`` (N, 2) goes on from knots (K,) within 90° of the headings (K,)."""
+    along = np.diff(nodes, axis=0, append=nodes[-1:])[knot.astype(np.int64)]
+    return np.asarray(along[:, 0] * np.cos(heading) + along[:, 1] * np.sin(heading) > 0.0)
 
 
 def _distinct(points: FloatArray) -> tuple[FloatArray, IndexArray]:

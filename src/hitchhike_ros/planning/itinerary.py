@@ -63,7 +63,10 @@ class ItineraryParameters:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """Who asks: ``start`` and ``goal`` in ``map``, the speed alone, the boarding ``sites`` (S, 2), the time ``now``."""
+    """Who asks: ``start`` and ``goal`` in ``map``, the speed alone, the boarding ``sites``, the time ``now``.
+
+    Sites are points (S, 2), or poses (S, 3) where only drivers that go that way stop.
+    """
 
     start: Point
     goal: Point
@@ -309,7 +312,10 @@ def _check(request: Request) -> FloatArray:
         point = getattr(request, name)
         if len(point) != 2 or not all(map(math.isfinite, point)):
             raise ItineraryInputError("hitchhiker", name, point, "two finite coordinates")
-    sites = np.asarray(request.sites, dtype=float).reshape(-1, 2)
+    sites = np.asarray(request.sites, dtype=float)
+    sites = sites if sites.size else np.empty((0, 2))
+    if sites.ndim != 2 or sites.shape[1] not in (2, 3):
+        raise ItineraryInputError("hitchhiker", "sites", sites.shape, "points (S, 2) or poses (S, 3)")
     if not np.isfinite(sites).all():
         raise ItineraryInputError("hitchhiker", "sites", sites.tolist(), "finite coordinates")
     return sites

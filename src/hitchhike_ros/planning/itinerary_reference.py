@@ -65,7 +65,11 @@ def _stops(
     driver: AnnouncedDriver, drivers: Sequence[AnnouncedDriver], request: Request, rules: RideRules
 ) -> Iterator[_Stop]:
     points = [(request.start, rules.board_anywhere, False), (request.goal, False, rules.leave_anywhere)]
-    points += [((x, y), True, True) for x, y in np.reshape(request.sites, (-1, 2)).tolist()]
+    sites = np.asarray(request.sites, dtype=float)
+    for x, y, *heading in sites.tolist() if sites.size else []:
+        for segment, share in _passages(driver, (x, y), rules.site_tolerance_m):
+            boards = rules.board_anywhere or not heading or _goes_on(driver, segment + (share == 1), heading[0])
+            yield _stop(driver, (x, y), segment, share, boards, True, rules)
     if rules.board_anywhere:
         points += [((x, y), True, rules.leave_anywhere) for each in drivers for x, y in each.path.tolist()]
     else:
@@ -97,6 +101,14 @@ def _stop(
         earliest += part * (min(duration, length / driver.safe_speed_mps) if length > 0 else duration)
         ridden += part * max(duration, length / rules.ride_speed_mps)
     return point, arc, time, earliest, ridden, may_board, may_leave
+
+
+def _goes_on(driver: AnnouncedDriver, segment: int, heading: float) -> bool:
+    path = driver.path.tolist()
+    if segment + 1 >= len(path):
+        return False
+    (x1, y1), (x2, y2) = path[segment : segment + 2]
+    return (x2 - x1) * math.cos(heading) + (y2 - y1) * math.sin(heading) > 0.0
 
 
 def _passages(driver: AnnouncedDriver, point: Point, tolerance_m: float) -> Iterator[tuple[int, float]]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Annotated, ClassVar
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -24,7 +25,13 @@ RobotId = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 Profile = Annotated[float, msgspec.Meta(ge=0, le=100)]
 Priority = Annotated[int, msgspec.Meta(ge=0, le=20)]
 Row = tuple[float, float, float]
+# x, y in m in ``map``, and in how many s after the message the sender is there: clocks differ.
+Waypoint = tuple[float, float, NonNegative]
+# More of them in one message are no simplified path (chosen).
+_MOST_WAYPOINTS = 500
+Waypoints = Annotated[tuple[Waypoint, ...], msgspec.Meta(max_length=_MOST_WAYPOINTS)]
 Covariance = tuple[Row, Row, Row]
+Place = Annotated[int, msgspec.Meta(ge=1)]  # in a convoy, 1 behind the driver
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +45,15 @@ class Message:
     ride_id: str = ""
     seq: Annotated[int, msgspec.Meta(ge=0)] = 0
     time_stamp: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plate:
+    """The marker on a robot's back; its pose is in the robot's ``base_footprint``."""
+
+    marker_id: int
+    marker_size_m: Positive
+    marker_pose: Pose2D
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +71,11 @@ class PoseFields:
 
 @dataclass(frozen=True, kw_only=True)
 class Beacon(Message):
-    """``status``: who is there, where, and what for. A rider that does not localize has no pose of its own."""
+    """``status``: who is there, where, what for, and along which path (P18 §4).
+
+    A rider that does not localize has no pose of its own. Towards a hitchhiker the robot may go up to
+    ``safe_speed_mps``.
+    """
 
     type = "status"
 
@@ -65,22 +85,30 @@ class Beacon(Message):
     radius_m: Positive = 0.3
     pose: Pose2D | None = None
     goal: Pose2D | None = None
+    path: Waypoints = ()
+    free_places: Annotated[int, msgspec.Meta(ge=0)] = 0
+    safe_speed_mps: Positive = 0.6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request(PoseFields, Message):
-    """A hitchhiker asks for a ride: {R_h, G_h, P_h} and where it stands (P17 §2.2, P18 §4)."""
+    """A hitchhiker asks for a ride: {R_h, G_h, P_h} and where it stands (P17 §2.2, P18 §4), or will, in ``in_s``."""
 
     type = "request"
 
     goal: Pose2D
     profile: Profile
     priority: Priority = 10
+    in_s: NonNegative = 0.0
+    plate: Plate | None = None  # for whoever comes behind it in a convoy
 
 
 @dataclass(frozen=True, kw_only=True)
 class Accept(PoseFields, Message):
-    """A driver offers the ride: how long it is, where it ends, and the marker on its back."""
+    """A driver offers the ride: how long it is, where it ends, and the marker on its back.
+
+    In a network the hitchhiker chooses among the rides that the driver's ``path`` allows (P18 §4).
+    """
 
     type = "accept"
 
@@ -90,6 +118,12 @@ class Accept(PoseFields, Message):
     marker_id: int
     marker_size_m: Positive
     marker_pose: Pose2D  # in the driver's base_footprint
+    path: Waypoints = ()
+    safe_speed_mps: Positive = 0.6
+
+    @property
+    def plate(self) -> Plate:
+        return Plate(marker_id=self.marker_id, marker_size_m=self.marker_size_m, marker_pose=self.marker_pose)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +137,19 @@ class Deny(Message):
 
 @dataclass(frozen=True, kw_only=True)
 class Lock(Message):
-    """The hitchhiker takes the offer."""
+    """The hitchhiker takes the offer.
+
+    In a network it says where: the driver stops at ``aligning``, the hitchhiker is at ``waiting`` in ``in_s``, and
+    the ride ends at ``leave``. It says so again as it comes nearer.
+    """
 
     type = "lock"
+
+    aligning: Pose2D | None = None
+    waiting: Pose2D | None = None
+    leave: tuple[float, float] | None = None
+    in_s: NonNegative = 0.0
+    plate: Plate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +161,13 @@ class RequestCancel(Message):
 
 @dataclass(frozen=True, kw_only=True)
 class Aligned(PoseFields, Message):
-    """*Aligned: ready to couple*, with dloc (P17 Alg. 1, line 18)."""
+    """*Aligned: ready to couple*, with dloc (P17 Alg. 1, line 18), and in a convoy whom to couple to."""
 
     type = "aligned"
 
     decouple_point: tuple[float, float]
+    place: Place = 1
+    ahead: Plate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +188,10 @@ class NewObstacles:
 
 @dataclass(frozen=True, kw_only=True)
 class Driver(PoseFields, Message):
-    """The driver's message of every δ seconds: pose, Σ, Ω (P17 §4, Listing 1), and its speed."""
+    """The driver's message of every δ seconds: pose, Σ, Ω (P17 §4, Listing 1), and its speed.
+
+    In a convoy, pose and Σ are of the robot ahead of the rider, the one with the plate ``ahead``.
+    """
 
     type = "driver"
 
@@ -150,11 +199,16 @@ class Driver(PoseFields, Message):
     new_obstacles: NewObstacles = NewObstacles()
     v: float = 0.0
     ridden_m: NonNegative = 0.0
+    place: Place = 1
+    ahead: Plate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ack(Message):
-    """Message ``acknowledges`` of type ``of`` has arrived; a rider adds how it follows."""
+    """Message ``acknowledges`` of type ``of`` has arrived; a rider adds how it follows.
+
+    ``seen`` is the marker ahead in its ``base_footprint`` with covariance ``seen_sigma``: it tells where the rider is.
+    """
 
     type = "ack"
 
@@ -162,11 +216,13 @@ class Ack(Message):
     acknowledges: int
     following: bool = True
     gap_m: float | None = None
+    seen: Pose2D | None = None
+    seen_sigma: Covariance | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Decouple(PoseFields, Message):
-    """The driver stands at dloc and hands over pose, Σ and Ω (P17 Alg. 1, line 31)."""
+    """The driver stands at dloc and hands over pose, Σ and Ω (P17 Alg. 1, line 31), as in its messages before."""
 
     type = "decouple"
 
@@ -238,14 +294,19 @@ def decode(text: str) -> Message:
         message = msgspec.convert(content, cls, strict=False)
     except msgspec.ValidationError as exc:
         raise MessageError(f"{kind}: {exc}") from exc
-    for f in fields(message):  # a pose stands elsewhere for "nowhere in particular", here it is all or nothing
-        if isinstance(getattr(message, f.name), Pose2D) and not {"x", "y", "theta"} <= set(content[f.name]):
-            raise MessageError(f"{kind}: {f.name} is {content[f.name]}, expected x, y and theta")
+    for name, pose in _poses(message, content):  # elsewhere "nowhere in particular", here all or nothing
+        if not {"x", "y", "theta"} <= set(pose):
+            raise MessageError(f"{kind}: {name} is {pose}, expected x, y and theta")
     for name, value in _floats(message):
         if not math.isfinite(value):
             raise MessageError(f"{kind}: {name} is {value}, expected a finite number")
-    if isinstance(message, Driver | Decouple) and not _is_covariance(message.sigma):
-        raise MessageError(f"{kind}: sigma is {message.sigma}, expected symmetric and positive semidefinite")
+    for name in ("sigma", "seen_sigma"):
+        sigma = getattr(message, name, None)
+        if sigma is not None and not _is_covariance(sigma):
+            raise MessageError(f"{kind}: {name} is {sigma}, expected symmetric and positive semidefinite")
+    path = getattr(message, "path", ())
+    if len(path) == 1 or any(after[2] <= before[2] for before, after in pairwise(path)):
+        raise MessageError(f"{kind}: path is {path}, expected two points or more, each later than the one before")
     return message
 
 
@@ -260,6 +321,15 @@ def _is_covariance(sigma: Covariance) -> bool:
     matrix = np.array(sigma)
     scaled = matrix / (np.abs(matrix).max() or 1.0)
     return bool(np.abs(scaled - scaled.T).max() <= 1e-9 and np.linalg.eigvalsh(scaled)[0] >= -1e-9)
+
+
+def _poses(value: object, content: Any, name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every pose in a message as it came, with the name of its field."""
+    if isinstance(value, Pose2D):
+        yield name, content
+    elif isinstance(value, Message | Plate):
+        for f in fields(value):
+            yield from _poses(getattr(value, f.name), content.get(f.name), f"{name}.{f.name}" if name else f.name)
 
 
 def _floats(value: object, name: str = "") -> Iterator[tuple[str, float]]:

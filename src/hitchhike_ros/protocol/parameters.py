@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 
 from hitchhike_ros.datatypes import FloatArray, NonNegative, Positive
 from hitchhike_ros.protocol.messages import Priority, Profile
 
 TIME_CRITICAL_PRIORITY = 16  # P18 §2.1: 16-20 neither gives nor takes a ride
+USUAL_PRIORITY = 10
+
+Mode = Literal["local", "network"]
+Policy = Literal["profile", "proximity", "arrival"]
 
 
 @dataclass(frozen=True)
@@ -22,12 +27,23 @@ class HitchhikingParameters:
     may_ride: bool = True
     may_drive: bool = True
 
+    mode: Mode = "local"  # P17: first come first served at a hitchhiking point; network: P18, from afar
+    policy: Policy = "profile"  # by which a hitchhiker chooses its driver in a network
+    places: Annotated[int, msgspec.Meta(ge=1, le=20)] = 1  # hitchhikers behind one another
+    role_reversal: bool = True  # in a network: asked by a better profile, ask it for a ride instead
+
     max_wait_s: Positive = 60.0  # T_hwait
     max_align_s: Positive = 30.0  # T_align
     max_couple_s: Positive = 20.0  # T_coupling
     min_ride_m: Positive = 20.0  # T_dhh
     update_period_s: Positive = 0.5  # δ
     award_rate: NonNegative = 0.4  # κ, points per metre
+
+    offer_window_s: Positive = 3.0  # in a network, for offers to come in
+    max_asks: Annotated[int, msgspec.Meta(ge=1)] = 8  # rides asked for on the way to one goal
+    board_anywhere: bool = False  # in a network: at any place of the driver's path, not at hitchhiking points alone
+    couple_s: NonNegative = 6.0  # what an itinerary counts for coupling
+    decouple_s: NonNegative = 3.0
 
     beacon_period_s: Positive = 1.0
     request_period_s: Positive = 1.0
@@ -52,12 +68,23 @@ class HitchhikingParameters:
     standstill_mps: Positive = 0.02
     cruise_speed_mps: Positive = 0.6
     ride_speed_mps: Positive = 0.5
+    safe_speed_mps: Positive = 1.0  # the most of a driver on its way to a hitchhiker (velocity tuning, P18 §8.1.3)
     overlap_tolerance_m: Positive = 0.3  # two plans that go the same way rarely share their cells
     handover: Literal["paper", "measured"] = "measured"
     mounting_sigma_m: NonNegative = 0.001  # how well one knows where camera and plate are mounted (chosen)
     mounting_sigma_rad: NonNegative = 0.002
     marker_id: int = 0  # on the own back
     marker_size_m: Positive = 0.16
+
+    @property
+    def patience_s(self) -> float:
+        """T_hwait, which shrinks with the own priority and grows without it (P18 §4)."""
+        return self.max_wait_s * (2.0 - self.priority / USUAL_PRIORITY) if self.mode == "network" else self.max_wait_s
+
+    @property
+    def own_policy(self) -> Policy:
+        """Who is in a hurry takes the nearest driver (P18 §4)."""
+        return "proximity" if self.priority > USUAL_PRIORITY else self.policy
 
     @property
     def mounting(self) -> FloatArray:
