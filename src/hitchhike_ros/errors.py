@@ -32,6 +32,14 @@ class RobotModelError(InputFileError):
     """A URDF lacks a link that a module needs."""
 
 
+class LedgerError(InputFileError):
+    """The award ledger cannot be read or written: permissions, a full disk, another process that keeps it busy."""
+
+
+class LedgerFormatError(LedgerError):
+    """The file is damaged, or no award ledger."""
+
+
 class PlanningError(HitchhikeError):
     """No path: the subclass says why."""
 
