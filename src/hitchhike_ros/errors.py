@@ -40,6 +40,10 @@ class LedgerFormatError(LedgerError):
     """The file is damaged, or no award ledger."""
 
 
+class CreditError(LedgerError):
+    """What is to be credited is senseless; trying again does not help."""
+
+
 class PlanningError(HitchhikeError):
     """No path: the subclass says why."""
 

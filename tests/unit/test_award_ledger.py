@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import shutil
@@ -20,7 +21,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchhike_ros.errors import LedgerError, LedgerFormatError
+from hitchhike_ros.errors import CreditError, LedgerError, LedgerFormatError
+from hitchhike_ros.nodes import awards
 from hitchhike_ros.protocol.award_ledger import AwardLedger, Credit, Total, totals
 
 RIDE = Credit("p3dx", "turtlebot", "turtlebot-1-12.3", 20.4, 8.16, 1.7e9)
@@ -99,6 +101,7 @@ def test_what_is_not_committed_is_undone(credits: list[Credit], done: int) -> No
 CREDITING = """
 import sys
 from dataclasses import replace
+from hitchhike_ros.nodes import awards
 from hitchhike_ros.protocol.award_ledger import AwardLedger, Credit
 ledger = AwardLedger(sys.argv[1])
 for i in range(100000):
@@ -235,7 +238,7 @@ def test_a_file_that_another_process_keeps_busy(ledger: AwardLedger) -> None:
 @pytest.mark.parametrize("field", ["ride_m", "points", "time"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -0.1])
 def test_senseless_numbers_are_refused(ledger: AwardLedger, field: str, value: float) -> None:
-    with pytest.raises(LedgerError, match=f"{field} is .*, expected a finite number"):
+    with pytest.raises(CreditError, match=f"{field} is .*, expected a finite number"):
         ledger.credit(replace(RIDE, **{field: value}))
 
 
@@ -244,3 +247,43 @@ def test_totals() -> None:
     credits.append(replace(RIDE, driver="robot1", ride_m=50.0, points=20.0))
     assert totals(credits) == [Total("robot1", 1, 50.0, 20.0), Total("p3dx", 10, 1.0, 0.4)]
     assert totals([]) == []
+
+
+def run_awards(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    monkeypatch.setattr(sys, "argv", ["awards", *map(str, arguments)])
+    awards.main()
+
+
+def test_awards_shows_totals_and_rides(
+    ledger: AwardLedger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = AwardLedger(tmp_path / "other.sqlite")
+    ledger.credit(RIDE)
+    for ride in (RIDE, replace(RIDE, ride_id="2", hitchhiker="evil\x1b[31m", time=1.8e9)):
+        other.credit(ride)
+    run_awards(monkeypatch, ledger.path, other.path)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split() == ["p3dx", "2", "40.8", "m", "16.3"]
+    assert [line.split()[-1] for line in lines[4:]] == [RIDE.ride_id, "2"]
+    assert "\x1b" not in "".join(lines)
+    run_awards(monkeypatch, ledger.path, other.path, "--json")
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["drivers"] == [{"driver": "p3dx", "rides": 2, "ride_m": 40.8, "points": 16.32}]
+    assert [ride["ride_id"] for ride in shown["rides"]] == [RIDE.ride_id, "2"]
+
+
+def test_awards_reads_the_ledger_in_ros_home(
+    ledger: AwardLedger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_HOME", str(tmp_path))
+    with pytest.raises(SystemExit, match=r"awards: .*hitchhike_awards.sqlite is 'missing', expected an existing file"):
+        run_awards(monkeypatch)
+    AwardLedger(tmp_path / "hitchhike_awards.sqlite").check()
+    run_awards(monkeypatch)
+    assert capsys.readouterr().out == "No rides.\n"
+
+
+def test_awards_refuses_what_is_no_ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _text(tmp_path / "notes.txt")
+    with pytest.raises(SystemExit, match=r"awards: .*notes.txt is .*, expected an award ledger of hitchhike_ros"):
+        run_awards(monkeypatch, tmp_path / "notes.txt")

@@ -1,14 +1,14 @@
 """hitchhike_comm: asks for rides, gives rides, and switches the other modules of its robot (P17 Fig. 8).
 
 Subscribed (in the robot's namespace unless absolute):
-    /hhike_msg/network (std_msgs/String): JSON messages of all robots
+    /hhike_msg/network (std_msgs/String), or ~network_in: JSON messages of all robots
     move_base_simple/goal (geometry_msgs/PoseStamped): where the robot is wanted, in ``map``; forwarded to the action
     amcl_pose (geometry_msgs/PoseWithCovarianceStamped), odom (nav_msgs/Odometry), map (nav_msgs/OccupancyGrid)
     new_obstacles (std_msgs/String): boxes that the own slam found
     path_planning/status, navigation/status (std_msgs/String): how the goal fares
     visual_servoing/observations (std_msgs/String)
 Published:
-    /hhike_msg/network (std_msgs/String)
+    /hhike_msg/network (std_msgs/String), or ~network_out
     hhike_msg/status (std_msgs/String, latched): which modules are on, where to drive, whom to follow
     hhike_msg/new_obstacles (std_msgs/String): boxes that a driver handed over
     hhike_msg/award (std_msgs/String, latched): the points of the newest ride that this robot drove
@@ -23,6 +23,9 @@ Parameters:
     ~world (path): markers and hitchhiking points
     ~robot_id (string, default: the namespace)
     ~rate (Hz, 10): steps of the machines
+    ~network_in, ~network_out (string, /hhike_msg/network): topics where it hears the others and speaks to them
+    ~awards (path, $ROS_HOME/hitchhike_awards.sqlite): ledger of what this robot earns by driving, which several robots
+        may share; ROS_HOME is ~/.ros where it is not set; empty: none is kept
     and every field of HitchhikingParameters, e.g. ~profile (0-100), ~priority (0-20), ~max_wait_s
 TF: none.
 """
@@ -36,6 +39,7 @@ from dataclasses import replace
 from typing import Any
 
 import msgspec
+import rosgraph.names
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
@@ -44,7 +48,7 @@ from std_msgs.msg import String
 
 from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.datatypes import FloatArray, Pose2D, PoseEstimate
-from hitchhike_ros.errors import MessageError, PlanningError, SensorDataError
+from hitchhike_ros.errors import MessageError, ParameterError, PlanningError, SensorDataError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import load_sites
@@ -68,6 +72,7 @@ from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status, encode_status
 from hitchhike_ros.protocol.traveller import Traveller
 from hitchhike_ros.robot_model import RobotLimits, mount
+from hitchhike_ros.ros_io.awards import AwardKeeper
 from hitchhike_ros.ros_io.conversions import (
     estimate_from_msg,
     estimate_to_msg,
@@ -75,7 +80,7 @@ from hitchhike_ros.ros_io.conversions import (
     odometry_from_msg,
 )
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
-from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 
 # An estimate older than this is no longer the robot's pose (s).
@@ -114,13 +119,15 @@ class HitchhikeComm:
         self._logged: dict[str, float] = {}
         self._diagnostics = Diagnostics("hitchhike_comm")
 
-        self._network = rospy.Publisher("/hhike_msg/network", String, queue_size=50, tcp_nodelay=True)
+        self._awards = AwardKeeper(robot_id)
+
+        self._network = rospy.Publisher(_topic("network_out"), String, queue_size=50, tcp_nodelay=True)
         self._status = rospy.Publisher("hhike_msg/status", String, queue_size=10, latch=True, tcp_nodelay=True)
         self._obstacles = rospy.Publisher("hhike_msg/new_obstacles", String, queue_size=10)
         self._award = rospy.Publisher("hhike_msg/award", String, queue_size=10, latch=True)
         self._initialpose = rospy.Publisher("initialpose", PoseWithCovarianceStamped, queue_size=10)
         subscriptions: tuple[tuple[str, Any, Any], ...] = (
-            ("/hhike_msg/network", String, self._on_network),
+            (_topic("network_in"), String, self._on_network),
             ("amcl_pose", PoseWithCovarianceStamped, self._on_estimate),
             ("odom", OdometryMsg, self._on_odometry),
             ("map", OccupancyGridMsg, self._on_map),
@@ -221,6 +228,7 @@ class HitchhikeComm:
         for event in [*events, *([] if wanted is None else [wanted]), tick]:
             for effect in self._traveller.step(event, now):
                 self._carry_out(effect, now)
+        self._awards.step()
         self._publish_status(self._traveller.status(now))
         if self._move_base.active:
             if estimate is not None:
@@ -238,6 +246,7 @@ class HitchhikeComm:
             payload = NewObstacles(obstacles=effect.obstacles)
             self._obstacles.publish(String(msgspec.json.encode(payload).decode()))
         elif isinstance(effect, Award):
+            self._awards.credit(effect)
             self._award.publish(String(msgspec.json.encode(effect).decode()))
             rospy.loginfo("%.1f points for %.1f m with %s", effect.points, effect.ride_m, effect.hitchhiker)
         elif isinstance(effect, Report):
@@ -251,11 +260,14 @@ class HitchhikeComm:
         level, message = OK, status.state
         if self._grid is None:
             level, message = ERROR, "no map received"
+        elif self._awards.trouble:
+            level, message = WARN, f"{status.state}; awards are not written down: {self._awards.trouble}"
         self._diagnostics.set(
             level,
             message,
             reason=status.reason,
             role=status.role,
+            awards_waiting=self._awards.waiting,
             **{f"dropped_{k}": v for k, v in self._inbox.dropped.items()},
         )
 
@@ -280,6 +292,18 @@ class HitchhikeComm:
         if now - self._logged.get(sender, -math.inf) >= _LOG_PERIOD_S:
             self._logged[sender] = now
             rospy.logwarn("from %s: %s", sender, text)
+
+
+def _topic(name: str) -> str:
+    """The topic that private parameter ``name`` says.
+
+    Raises:
+        ParameterError: it is no name of a topic.
+    """
+    topic = rospy.get_param(f"~{name}", "/hhike_msg/network")
+    if not isinstance(topic, str) or not rosgraph.names.is_legal_name(topic) or not topic:
+        raise ParameterError(rospy.get_name(), f"~{name}", topic, "the name of a topic")
+    return topic
 
 
 def main() -> None:

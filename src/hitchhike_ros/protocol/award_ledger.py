@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
-from hitchhike_ros.errors import LedgerError, LedgerFormatError
+from hitchhike_ros.errors import CreditError, LedgerError, LedgerFormatError
 
 FILE_NAME = "hitchhike_awards.sqlite"
 _EXPECTED = "an award ledger of hitchhike_ros"
@@ -87,13 +87,14 @@ class AwardLedger:
         """Write down a credit; False where that ride is credited already. On return it outlives a loss of power.
 
         Raises:
-            LedgerError: the file cannot be written now, or a number is not finite or below 0: nothing is credited.
+            CreditError: a number is not finite or below 0.
+            LedgerError: the file cannot be written now: nothing is credited.
             LedgerFormatError: the file is damaged or no ledger; it stays as it is.
         """
         for field in ("ride_m", "points", "time"):
             value = getattr(credit, field)
             if not 0.0 <= value < math.inf:
-                raise LedgerError(self.path, field, value, "a finite number of at least 0")
+                raise CreditError(self.path, field, value, "a finite number of at least 0")
         with self._transaction(writes=True) as db:
             return bool(db.execute(_INSERT, astuple(credit)).rowcount)
 
@@ -124,6 +125,8 @@ class AwardLedger:
         try:
             if writes:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
+            elif not self.path.exists():
+                raise LedgerError(self.path, "", "missing", expected)
             uri = f"{self.path.as_uri()}?mode={'rwc' if writes else 'rw'}"  # a reader, too, undoes what a crash left
             db = sqlite3.connect(uri, timeout=self._busy_timeout_s, isolation_level=None, uri=True)
             db.execute("PRAGMA synchronous = EXTRA")
