@@ -17,7 +17,7 @@ import rospy
 import rostest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from watch import Watch
+from watch import Watch, credits_of_this_run
 
 from hitchhike_ros.datatypes import PoseEstimate
 from hitchhike_ros.geometry import distance
@@ -64,6 +64,11 @@ class RideTest(unittest.TestCase):
     def test_ride_and_award(self) -> None:
         self.assertAlmostEqual(20.4, self.figure("ride"), delta=0.02 * 20.4)
         self.assertEqual(8.2, round(self.figure("award"), 1))
+
+    def test_the_award_is_written_down_once(self) -> None:
+        (credit,) = credits_of_this_run()
+        self.assertEqual(("p3dx", "turtlebot"), (credit.driver, credit.hitchhiker))
+        self.assertAlmostEqual(self.figure("award"), credit.points)
 
     def test_hitchhiker_reached_its_own_goal_alone(self) -> None:
         truth = self.watch.truth("turtlebot")
