@@ -14,9 +14,16 @@ from collections.abc import Iterable
 import numpy as np
 
 from hitchhike_ros.datatypes import FloatArray, Obstacle
-from hitchhike_ros.errors import GoalBlockedError, OutsideMapError, StartBlockedError, UnreachableError
-from hitchhike_ros.mapping.grid import OccupancyGrid, distance_to
+from hitchhike_ros.errors import (
+    GoalBlockedError,
+    OutsideMapError,
+    PlanningError,
+    StartBlockedError,
+    UnreachableError,
+)
+from hitchhike_ros.mapping.grid import BoolArray, OccupancyGrid, distance_to
 from hitchhike_ros.planning.astar import Cell, CostArray
+from hitchhike_ros.planning.costmap import label_regions
 from hitchhike_ros.planning.dstar_lite import DStarLite
 
 Point = tuple[float, float]
@@ -93,6 +100,26 @@ class GridPaths:
         path[0], path[-1] = start, goal
         path[1:-1] = (cells[:-1, ::-1] + 0.5) * self._resolution + self._origin
         return path
+
+    def metres(self, start: Point, goal: Point) -> float:
+        """Length of the path for who knows no box; infinite where there is none."""
+        try:
+            path = self.plan(start, goal)
+        except PlanningError:
+            return math.inf
+        return float(np.hypot(*np.diff(path, axis=0).T).sum())
+
+    def free(self, at: Point) -> bool:
+        """Whether a robot may be there, for all that is in the map."""
+        row, column = self.cell(*at)
+        inside = 0 <= row < self.grid.height and 0 <= column < self.grid.width
+        return inside and math.isfinite(self._cost(())[row, column])
+
+    def region(self) -> BoolArray:
+        """The largest connected part of the map where a robot may be, boxes or not, as a mask (H, W)."""
+        labels = label_regions(self._cost(tuple(sorted(self.boxes))))
+        counts = np.bincount(labels[labels > 0]) if labels.any() else np.array([0, 0])
+        return np.asarray(labels == counts.argmax())
 
     def sees(self, a: Point, b: Point) -> bool:
         """Whether no wall and no box is on the straight line between two points."""
