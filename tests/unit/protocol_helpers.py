@@ -18,9 +18,10 @@ from hitchhike_ros.datatypes import (
     PoseEstimate,
 )
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.driver import DriverMachine, DriverState, Planner
+from hitchhike_ros.protocol.driver import DriverMachine, DriverState
 from hitchhike_ros.protocol.hitchhiker import HitchhikerMachine, HitchhikerState
 from hitchhike_ros.protocol.machine import Effect, GoalGiven, Machine, NavigationReport, Send, Situation, Tick
+from hitchhike_ros.protocol.matching import Planner
 from hitchhike_ros.protocol.messages import (
     Accept,
     Ack,
@@ -131,6 +132,11 @@ class Bench:
         for _ in range(round(seconds * 10)):
             self.now += 0.1
             self.step(Tick(self.situation()))
+
+    def ride(self, metres: float) -> None:
+        """A driver has gone on with its rider, whatever it does now."""
+        for rider in self.machine._convoy:
+            rider.ridden_m = metres
 
     def lose_driver(self, then: HitchhikerState) -> None:
         """A rider that has come to the step before ``then`` comes to it."""

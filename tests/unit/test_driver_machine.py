@@ -366,7 +366,7 @@ def test_noise_of_a_standing_robot_earns_nothing() -> None:
 def test_a_ride_can_end_in_every_state(state: DriverState, event: Any, then: DriverState) -> None:
     bench = driver_in(state)
     if state in WITH_RIDER:
-        bench.machine.ridden_m = 5.0
+        bench.ride(5.0)
     bench.hear(event) if event is Terminate else bench.step(event)
     bench.wait()
     assert (bench.machine.state, bench.machine.offer) == (then, None)
@@ -396,11 +396,21 @@ def test_the_hitchhiker_may_withdraw_before_it_is_coupled(state: DriverState) ->
 def test_only_its_own_hitchhiker_is_heard(state: DriverState) -> None:
     bench = driver_in(state)
     for cls in MESSAGE_TYPES.values():
-        if cls is not Request:
+        if cls not in (Request, Lock):
             bench.hear(cls, robot_id="other")
             bench.hear(cls, ride_id="ride-0")
     assert bench.machine.state is state
     assert bench.take(Message) == []
+
+
+@pytest.mark.parametrize("state", S)
+def test_a_lock_that_nobody_asked_for_is_denied_and_counted(state: DriverState) -> None:
+    bench = driver_in(state)
+    bench.hear(Lock, robot_id="other")
+    (denial,) = bench.take(Message)
+    assert (type(denial), denial.to, denial.ride_id) == (Deny, "other", "ride")
+    assert denial.reason in (d.NOT_OFFERED, d.ALREADY_DRIVING)
+    assert (bench.machine.refused, bench.machine.state) == (1, state)
 
 
 # What the modules are told (P17 Table 3).

@@ -52,10 +52,8 @@ def _paths() -> st.SearchStrategy[Any]:
 
 def _strategy(hint: Any) -> st.SearchStrategy[Any]:
     """Values of a field's type within its bounds."""
-    if hint == Covariance:
-        return _covariances()
-    if hint == Waypoints:
-        return _paths()
+    if hint in (Covariance, Waypoints):
+        return _covariances() if hint == Covariance else _paths()
     bounds: dict[str, Any] = {}
     if get_origin(hint) is Annotated:
         meta, hint = get_args(hint)[1], get_args(hint)[0]

@@ -29,7 +29,7 @@ from protocol_helpers import (
 from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.errors import MessageError, UnreachableError
 from hitchhike_ros.geometry import between, compose, distance, wrap_angle
-from hitchhike_ros.protocol.driver import DriverState, Planner
+from hitchhike_ros.protocol.driver import DriverState
 from hitchhike_ros.protocol.hitchhiker import HitchhikerState
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
@@ -45,6 +45,7 @@ from hitchhike_ros.protocol.machine import (
     Tick,
     stamped,
 )
+from hitchhike_ros.protocol.matching import Planner
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
     Accept,

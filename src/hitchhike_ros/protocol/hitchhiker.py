@@ -1,5 +1,8 @@
 """The hitchhiker of P17 Algorithm 2 as a table: ask, lock, wait, couple, ride, take over the pose, go on.
 
+In a network (P18 §4) it asks all drivers, hears their answers for a while, chooses, and goes to where they meet. When
+nobody can drive it, or driving alone is better, it leaves at once.
+
 A driver that is lost from sight is sought by the camera first (``seeking``, while servoing coasts and looks around).
 What fails there goes on by itself: it localizes from what it knows of the driver (``locating``), drives up behind the
 driver, who waits (``catching_up``), couples anew (``recoupling``), and rides on. Whichever of these fails or takes too
@@ -15,12 +18,14 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from hitchhike_ros.datatypes import MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.datatypes import HitchhikingPoint, MarkerObservation, Pose2D, PoseEstimate
 from hitchhike_ros.geometry import compose, distance, inverse, wrap_angle
 from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 from hitchhike_ros.localization.handover import handover
 from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.planning.itinerary import SoloMetres
 from hitchhike_ros.protocol.machine import (
     GoalCancelled,
     GoalGiven,
@@ -31,6 +36,7 @@ from hitchhike_ros.protocol.machine import (
     Tick,
     Timeout,
 )
+from hitchhike_ros.protocol.matching import Meeting, choose
 from hitchhike_ros.protocol.messages import (
     Accept,
     Ack,
@@ -41,14 +47,19 @@ from hitchhike_ros.protocol.messages import (
     Driver,
     Lock,
     Message,
+    Plate,
     Request,
     RequestCancel,
     Terminate,
+    covariance_rows,
 )
+from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatus, ServoCommand
 
 DRIVER_NOT_FOUND = "Driver not found"
+ALONE_IS_BETTER = "Driving alone is better"
+CANNOT_MEET = "No way to the hitchhiking point"
 DRIVER_LOST = "Driver lost"
 DRIVER_SILENT = "No message from the driver"
 DRIVER_NOT_ALIGNED = "Driver did not align"
@@ -107,12 +118,14 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     ROWS = (
         Row((S.IDLE,), GoalGiven, "_ask", (S.REQUESTING,)),
-        Row((S.REQUESTING,), Tick, "_repeat_request"),
-        Row((S.REQUESTING,), Accept, "_lock", (S.LOCKING,)),
+        Row((S.REQUESTING,), Tick, "_repeat_request", (S.LOCKING, S.IDLE)),
+        Row((S.REQUESTING,), Accept, "_take_offer", (S.LOCKING,)),
         Row((S.REQUESTING,), Deny, "_note_denial"),
         Row(tuple(s for s in S if s is not S.REQUESTING), Accept, "_refuse_offer"),
         Row((S.LOCKING,), Tick, "_repeat_lock"),
         Row((S.LOCKING,), Ack, "_locked", (S.AWAITING_ALIGNED,)),
+        Row((S.AWAITING_ALIGNED,), Tick, "_approach", (S.REQUESTING,)),
+        Row((S.AWAITING_ALIGNED,), Ack, "_note_place"),
         Row((S.LOCKING, S.AWAITING_ALIGNED), Aligned, "_couple", (S.COUPLING,)),
         Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Deny, "_offer_withdrawn", (S.REQUESTING,)),
         Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Terminate, "_offer_withdrawn", (S.REQUESTING,)),
@@ -154,9 +167,31 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Timeout(S.RELOCALIZING, "localize_timeout_s", "_give_up_localizing", (S.IDLE,)),
     )
 
-    def __init__(self, robot_id: str, params: HitchhikingParameters, sites: Sites, camera: tuple[float, float]) -> None:
+    def __init__(
+        self,
+        robot_id: str,
+        params: HitchhikingParameters,
+        sites: Sites,
+        camera: tuple[float, float],
+        plate: Plate | None = None,
+        neighbours: Neighbours | None = None,
+        metres: SoloMetres = cdist,
+    ) -> None:
+        """``plate`` is on the own back; ``metres`` of driving alone are what choosing a ride needs."""
         super().__init__(S.IDLE, params)
-        self._sites = sites
+        self._sites, self._own_plate, self._metres = sites, plate, metres
+        self._neighbours = neighbours or Neighbours()
+        self.ready_in_s = 0.0  # until it could start from where it asks: a ride to there may still be on
+        self.meeting: Meeting | None = None
+        self._offers: dict[str, tuple[Accept, float]] = {}
+        self._answered: set[str] = set()
+        self.window_s = params.offer_window_s
+        self._requested_at = self._due_at = self._way_s = 0.0
+        self._place = 1
+        self._plate: Plate | None = None  # ahead
+        self._sent_off = False
+        self._lost_way_at: float | None = None
+        self.rode = False  # since it was asked to bring the robot to its goal
         self.robot_id = robot_id
         self.params = params
         self.goal: Pose2D | None = None
@@ -196,25 +231,27 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     @property
     def servo(self) -> ServoCommand | None:
-        if self.offer is None or self.state not in (S.COUPLING, S.CATCHING_UP, S.RECOUPLING, *COUPLED):
+        plate = self._plate
+        if plate is None or self.state not in (S.COUPLING, S.CATCHING_UP, S.RECOUPLING, *COUPLED):
             return None
         if self.state is S.CATCHING_UP:
-            return ServoCommand("observe", self.offer.marker_id, self.offer.marker_size_m)
+            return ServoCommand("observe", plate.marker_id, plate.marker_size_m)
         # A driver that has fallen silent may be standing: its old speed must not push.
         fresh = self._now - self._heard_at <= self.params.ack_timeout_s
         speed = self._report_at.v if fresh and isinstance(self._report_at, Driver) else 0.0
-        return ServoCommand("follow", self.offer.marker_id, self.offer.marker_size_m, self.params.gap_m, speed)
+        return ServoCommand("follow", plate.marker_id, plate.marker_size_m, self.params.gap_m, speed)
 
     @property
     def way(self) -> GoalCommand | None:
-        """Where it drives to by itself: into line with the driver that comes, up behind the driver that it has lost."""
+        """Where it drives to by itself: to where it meets its driver and into line, or up behind one that it lost."""
         return self._way if self.state in (S.AWAITING_ALIGNED, S.CATCHING_UP) else None
 
     @property
     def ride(self) -> RideStatus | None:
         if self.offer is None:
             return None
-        return RideStatus(self.ride_id, self.offer.robot_id, self.robot_id, self.offer.ride_m, self.ridden_m)
+        ride_m = self.offer.ride_m if self.meeting is None else self.meeting.ride_m
+        return RideStatus(self.ride_id, self.offer.robot_id, self.robot_id, ride_m, self.ridden_m)
 
     def gap_m(self) -> float | None:
         """Distance from the own camera to the driver's marker, None when it is not in view."""
@@ -224,14 +261,19 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     # Actions of the table, in its order.
 
     def _ask(self, event: GoalGiven) -> None:
-        self.goal, self.offer, self.ridden_m = event.goal, None, 0.0
-        self._asked_since = self._now
+        self.goal, self.offer, self.ridden_m, self.rode = event.goal, None, 0.0, False
+        self._asked_since, self._offers, self.meeting = self._now, {}, None
         self._new_request()
         self._go(S.REQUESTING)
 
     def _repeat_request(self, _tick: Tick) -> None:
         estimate = self.situation.estimate
-        if self.goal is None or estimate is None or not self._every(self.params.request_period_s, "request"):
+        if self.goal is None or estimate is None:
+            return
+        if self.params.mode == "network" and self._heard_enough():
+            self._decide(estimate.pose)
+            return
+        if not self._every(self.params.request_period_s, "request"):
             return
         pose = estimate.pose
         self._send(
@@ -244,19 +286,25 @@ class HitchhikerMachine(Machine[HitchhikerState]):
                 goal=self.goal,
                 profile=self.params.profile,
                 priority=self.params.priority,
+                in_s=self.ready_in_s,
+                plate=self._own_plate,
             )
         )
 
-    def _lock(self, offer: Accept) -> None:
-        # First come, first served (P17); choosing among several offers belongs to the network mode of P18 §4.
-        self.offer = offer
-        self._go(S.LOCKING)
-        self._repeat_lock()
+    def _take_offer(self, offer: Accept) -> None:
+        """First come, first served where one waits for whoever passes (P17); in a network all are heard first."""
+        if self.params.mode == "local":
+            self._lock(offer)
+        else:
+            self._offers[offer.robot_id] = offer, self._now
+            self._answered.add(offer.robot_id)
 
     def _note_denial(self, denial: Deny) -> None:
         if denial.reason != self.reason:
             self._report(f"{denial.robot_id} denies: {denial.reason}")
         self.reason = denial.reason
+        self._offers.pop(denial.robot_id, None)
+        self._answered.add(denial.robot_id)
 
     def _refuse_offer(self, offer: Accept) -> None:
         if self.offer is None or offer.robot_id != self.offer.robot_id:
@@ -264,15 +312,40 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _repeat_lock(self, _tick: Tick | None = None) -> None:
         if self._every(self.params.repeat_period_s, "lock"):
-            self._send(Lock(**self._to_driver()))
+            self._send_lock()
 
     def _locked(self, ack: Ack) -> None:
-        if ack.of == Lock.type:
-            self._way = self._turn_into_line()
-            self._go(S.AWAITING_ALIGNED)
+        if ack.of != Lock.type:
+            return
+        if self.offer is not None:
+            self._offers.pop(self.offer.robot_id, None)
+        self._cancel_offers()
+        self._place, self._sent_off, self._lost_way_at = ack.place, False, None
+        self._way = None if self.meeting is not None else self._turn_into_line()
+        self._go(S.AWAITING_ALIGNED)
 
-    def _couple(self, _aligned: Aligned) -> None:
+    def _approach(self, _tick: Tick) -> None:
+        """To where it meets its driver from afar; now and then it says when it will be there."""
+        if self.meeting is None:
+            return
+        if not self._sent_off and self.ready_in_s <= 0.0 and self.situation.estimate is not None:
+            self._way, self._sent_off = self._way_to_wait(), True
+        if self._no_way():
+            self._tell(Terminate(**self._to_driver(), reason=CANNOT_MEET))
+            self._ask_again(CANNOT_MEET)
+        elif self._every(self.params.request_period_s, "lock"):
+            self._send_lock()
+
+    def _note_place(self, ack: Ack) -> None:
+        if ack.of == Lock.type and ack.place != self._place:
+            self._place, self._sent_off = ack.place, False
+
+    def _couple(self, aligned: Aligned) -> None:
+        if self.meeting is not None and not self._in_place():
+            return  # the driver says so again
         self._in_gap_since = self._report_at = None
+        if aligned.ahead is not None:
+            self._plate = aligned.ahead
         self._go(S.COUPLING)
 
     def _offer_withdrawn(self, message: Deny | Terminate) -> None:
@@ -332,11 +405,21 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _acknowledge(self, message: Driver) -> None:
         self._hear(message)
         seen, own = self._observation(), self.situation.seen_from
-        if seen is not None and own is not None and self.offer is not None:
-            self._track.add(compose(own, seen.pose), compose(message.pose, self.offer.marker_pose))
+        if seen is not None and own is not None and self._plate is not None:
+            self._track.add(compose(own, seen.pose), compose(message.pose, self._plate.marker_pose))
         gap = self.gap_m()
         following = self.state is S.RIDING and gap is not None
-        self._send(Ack(**self._to_driver(), of=message.type, acknowledges=message.seq, following=following, gap_m=gap))
+        self._send(
+            Ack(
+                **self._to_driver(),
+                of=message.type,
+                acknowledges=message.seq,
+                following=following,
+                gap_m=gap,
+                seen=None if seen is None else seen.pose,
+                seen_sigma=None if seen is None else covariance_rows(seen.covariance),
+            )
+        )
 
     def _settle(self, message: Decouple) -> None:
         self._hear(message)
@@ -391,6 +474,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._send(Ack(**to_driver, of=message.type, acknowledges=message.seq, gap_m=self.gap_m()))
 
     def _cancel(self, _event: GoalCancelled) -> None:
+        self._cancel_offers()
         if self.offer is not None:
             self._tell(RequestCancel(**self._to_driver()))
         self._finish(RIDE_CANCELLED)
@@ -414,7 +498,16 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     # Timeouts.
 
+    def _limit_s(self, name: str) -> float:
+        """Who meets from afar has a way to go first; T_hwait depends on the priority."""
+        if name == "max_wait_s":
+            return self.params.patience_s
+        if name == "max_align_s" and self.meeting is not None:
+            return 2.0 * self.meeting.begins_in_s + self.params.patience_s + self.params.max_align_s
+        return super()._limit_s(name)
+
     def _driver_not_found(self) -> None:
+        self._cancel_offers()
         self._finish(f"{DRIVER_NOT_FOUND} ({self.reason})" if self.reason else DRIVER_NOT_FOUND)
 
     def _lock_lost(self) -> None:
@@ -465,7 +558,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _observation(self) -> MarkerObservation | None:
         """The driver's marker, unless it was seen too long ago to act upon."""
         seen = self.situation.observation
-        if seen is None or self.offer is None or seen.marker_id != self.offer.marker_id:
+        if seen is None or self._plate is None or seen.marker_id != self._plate.marker_id:
             return None
         return seen if self._now - seen.stamp <= self.params.repeat_period_s else None
 
@@ -474,6 +567,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._send(Coupled(**self._to_driver(), gap_m=gap))
 
     def _hear(self, message: Driver | Decouple) -> None:
+        if message.ahead is not None and message.ahead != self._plate:  # it moves up
+            self._plate, self._track, self._told = message.ahead, DriverTrack(), deque()
         self._heard_at, self._report_at, self.ridden_m = self._now, message, message.ridden_m
         if not self._told or distance(self._told[-1], message.pose) >= _TOLD_STEP_M:
             self._told.append(message.pose)
@@ -483,11 +578,13 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _new_request(self) -> None:
         self._rides, self._taken_over = self._rides + 1, False
         self.ride_id = f"{self.robot_id}-{self._rides}-{self._now:.1f}"
+        self._requested_at, self._offers, self._answered, self.meeting = self._now, {}, set(), None
 
     def _ask_again(self, reason: str) -> None:
         """Back to asking, as long as T_hwait of the first request allows."""
         self._report(reason)
-        self.offer = None
+        self._cancel_offers()
+        self.offer = self._plate = None
         self._new_request()
         self._go(S.REQUESTING, reason)
         self._entered = self._asked_since
@@ -495,7 +592,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _finish(self, reason: str) -> None:
         self._report(reason or "Ride completed")
         self._go(S.IDLE, reason)
-        self.offer = None
+        self.offer = self._plate = self.meeting = None
 
     def _go_alone(self, reason: str) -> None:
         """The ride is over for one that knows where it is."""
@@ -508,6 +605,108 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _silent(self) -> bool:
         return self._now - self._heard_at > self.params.message_timeout_s
+
+    # In a network.
+
+    def _heard_enough(self) -> bool:
+        """Whether all known drivers have answered, or the time for offers is over."""
+        if self._now - self._requested_at >= self.window_s:
+            return True
+        return (
+            bool(self._answered) and self._neighbours.drivers(self._now, self.params.robot_timeout_s) <= self._answered
+        )
+
+    def _decide(self, here: Pose2D) -> None:
+        """Take the best offer; go at once where none is good enough."""
+        assert self.goal is not None
+        self.meeting = choose(
+            here, self.goal, self.ready_in_s, self._offers, self._now, self._sites, self.params, self._metres
+        )
+        if self.meeting is not None:
+            self._way_s = self.meeting.in_s - self.ready_in_s
+            self._due_at = self._now + self.meeting.in_s
+            self._lock(self._offers[self.meeting.driver][0])
+        elif self._offers:
+            self._cancel_offers()
+            self._finish(ALONE_IS_BETTER)
+        else:
+            self._driver_not_found()
+
+    def _lock(self, offer: Accept) -> None:
+        self.offer, self._plate = offer, offer.plate
+        self._go(S.LOCKING)
+        self._repeat_lock()
+
+    def _send_lock(self) -> None:
+        if self.meeting is None:
+            self._send(Lock(**self._to_driver(), plate=self._own_plate))
+            return
+        point = self.meeting.point
+        self._send(
+            Lock(
+                **self._to_driver(),
+                aligning=point.aligning_pose,
+                waiting=point.waiting_pose,
+                leave=self.meeting.leave,
+                in_s=self._arrives_in_s(),
+                plate=self._own_plate,
+            )
+        )
+
+    def _cancel_offers(self) -> None:
+        """Nobody waits for a hitchhiker that has chosen otherwise."""
+        for robot_id in self._offers:
+            self._send(RequestCancel(robot_id=self.robot_id, to=robot_id, ride_id=self.ride_id))
+        self._offers = {}
+
+    def leaves_in_s(self) -> float:
+        """Until the present ride ends, as far as can be told."""
+        if self.meeting is None:
+            return 0.0
+        if self.state not in (*COUPLED, *RETURNING):
+            return max(0.0, self._due_at - self._now) + self.meeting.ends_in_s - self.meeting.in_s
+        return max(0.0, self.meeting.ride_m - self.ridden_m) / self.params.ride_speed_mps + self.params.decouple_s
+
+    def _arrives_in_s(self) -> float:
+        """Until it is where it meets its driver."""
+        assert self.meeting is not None
+        if self.ready_in_s > 0.0:
+            self._due_at = self._now + self.ready_in_s + self._way_s
+            return self.ready_in_s + self._way_s
+        estimate, waiting = self.situation.estimate, self.meeting.point.waiting_pose
+        away_m = 0.0 if estimate is None or self._in_place() else distance(estimate.pose, waiting)
+        return max(self._due_at - self._now, away_m / self.params.cruise_speed_mps, 0.0)
+
+    def _waiting_pose(self, point: HitchhikingPoint) -> Pose2D:
+        """Those with places farther back wait behind."""
+        apart_m = distance(point.aligning_pose, point.waiting_pose)
+        return compose(point.waiting_pose, Pose2D(-(self._place - 1) * apart_m))
+
+    def _way_to_wait(self) -> GoalCommand | None:
+        estimate = self.situation.estimate
+        assert self.meeting is not None and estimate is not None
+        pose = self._waiting_pose(self.meeting.point)
+        if distance(estimate.pose, pose) <= _IN_LINE_M:
+            return self._turn_into_line()
+        return GoalCommand(f"{self.ride_id}-meet-{self._place}", pose.x, pose.y, pose.theta)
+
+    def _in_place(self) -> bool:
+        """Whether it stands where it meets its driver."""
+        report = self.situation.navigation
+        arrived = (
+            report is not None and self._way is not None and (report.goal_id, report.state) == (self._way.id, "arrived")
+        )
+        return self._sent_off and (self._way is None or arrived)
+
+    def _no_way(self) -> bool:
+        """Whether navigation has had no path to there for a while."""
+        report = self.situation.navigation
+        if report is None or self._way is None or (report.goal_id, report.state) != (self._way.id, "failed"):
+            self._lost_way_at = None
+            return False
+        if self._lost_way_at is None:
+            self._lost_way_at = self._now
+        return self._now - self._lost_way_at > self.params.planner_patience_s
 
     def _settled_gap(self) -> float | None:
         """The gap to the driver, once it stands in it for a while."""
@@ -525,7 +724,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         return gap if self._now - self._in_gap_since >= self.params.repeat_period_s else None
 
     def _start_riding(self, gap: float, reason: str) -> None:
-        self._seen_at = self._now
+        self._seen_at, self.rode = self._now, True
         self._go(S.RIDING, reason)
         self._send_coupled(gap)
 
@@ -572,9 +771,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _places_to_look(self) -> list[Pose2D]:
         """On the driver's own track, or on the spot when it is near; then straight in front of its marker."""
         estimate = self.situation.estimate
-        if self.offer is None or estimate is None:
+        if self._plate is None or estimate is None:
             return []
-        marker = compose(self._told[-1], self.offer.marker_pose)
+        marker = compose(self._told[-1], self._plate.marker_pose)
         off = self._camera[0] + self.params.gap_m
         behind = next((p for p in reversed(self._told) if distance(p, marker) >= off + _CATCH_UP_M), self._told[0])
         behind = estimate.pose if distance(estimate.pose, marker) < off + _CATCH_UP_M else behind
@@ -604,8 +803,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         """Localization and mapping take over from the ride."""
         self._settled_pose = pose
         seen = self._observation()
-        if pose is not None and seen is not None and self.offer is not None:
-            self.left_at = compose(compose(pose.pose, seen.pose), inverse(self.offer.marker_pose))
+        if pose is not None and seen is not None and self._plate is not None:
+            self.left_at = compose(compose(pose.pose, seen.pose), inverse(self._plate.marker_pose))
         if pose is not None:
             self._effects.append(TakePose(pose))
         if self._report_at is not None and self._report_at.new_obstacles.obstacles:
@@ -617,9 +816,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _pose_behind_driver(self, seen: MarkerObservation) -> PoseEstimate | None:
         driver = self._driver_estimate()
-        if driver is None or self.offer is None:
+        if driver is None or self._plate is None:
             return None
-        marker, own, turn = self.offer.marker_pose, self.situation.seen_from, self._track.turn()
+        marker, own, turn = self._plate.marker_pose, self.situation.seen_from, self._track.turn()
         if own is not None and turn is not None:
             seen = with_heading(seen, driver.pose.theta + marker.theta, own.theta + turn[0], turn[1])
         return handover(self.params.handover, driver, seen, marker, self.params.mounting)
@@ -631,12 +830,12 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if located is not None:
             return located
         driver = self._driver_estimate()
-        if driver is None or self.offer is None:
+        if driver is None or self._plate is None:
             return self.situation.estimate  # still where it coupled: its own estimate has not been switched off yet
-        marker = self.offer.marker_pose
+        marker = self._plate.marker_pose
         ahead = Pose2D(self._camera[0] + self.params.gap_m, 0.0, np.pi)
         # Both may have gone on since the driver spoke last.
         gone_m = self.params.ride_speed_mps * (self._now - self._heard_at)
         covariance = np.diag(np.square([_LOST_SIGMA[0] + gone_m, _LOST_SIGMA[1] + gone_m, _LOST_SIGMA[2]]))
-        assumed = MarkerObservation(self._now, self.offer.marker_id, ahead, covariance)
+        assumed = MarkerObservation(self._now, self._plate.marker_id, ahead, covariance)
         return handover("measured", driver, assumed, marker)

@@ -174,7 +174,11 @@ class Machine(Generic[S]):
 
     def _expired(self) -> Timeout | None:
         timeout = self._timeouts.get(self.state)
-        return timeout if timeout and self.time_in_state() > getattr(self._params, timeout.limit) else None
+        return timeout if timeout and self.time_in_state() > self._limit_s(timeout.limit) else None
+
+    def _limit_s(self, name: str) -> float:
+        """How long a state with this limit may last now."""
+        return float(getattr(self._params, name))
 
     def _run(self, action: str, targets: tuple[Any, ...], *event: object) -> None:
         self._allowed = targets
@@ -193,7 +197,8 @@ class Machine(Generic[S]):
         """Send what ends a ride; nobody stays to acknowledge it, so it is repeated for a while."""
         self._send(message)
         times = range(1, int(duration_s / period_s) + 1)
-        self._last_words = [(self._now + i * period_s, message) for i in times]
+        self._last_words += [(self._now + i * period_s, message) for i in times]
+        self._last_words.sort(key=lambda word: word[0])
 
     def _report(self, text: str) -> None:
         self._effects.append(Report(text))

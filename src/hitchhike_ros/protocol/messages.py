@@ -205,7 +205,7 @@ class Driver(PoseFields, Message):
 
 @dataclass(frozen=True, kw_only=True)
 class Ack(Message):
-    """Message ``acknowledges`` of type ``of`` has arrived; a rider adds how it follows.
+    """Message ``acknowledges`` of type ``of`` has arrived; a driver adds the place, a rider how it follows.
 
     ``seen`` is the marker ahead in its ``base_footprint`` with covariance ``seen_sigma``: it tells where the rider is.
     """
@@ -214,6 +214,7 @@ class Ack(Message):
 
     of: str
     acknowledges: int
+    place: Place = 1
     following: bool = True
     gap_m: float | None = None
     seen: Pose2D | None = None
@@ -229,6 +230,8 @@ class Decouple(PoseFields, Message):
     sigma: Covariance
     new_obstacles: NewObstacles = NewObstacles()
     ridden_m: NonNegative = 0.0
+    place: Place = 1
+    ahead: Plate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

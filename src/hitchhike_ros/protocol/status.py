@@ -91,6 +91,7 @@ class Status:
     servo: ServoCommand | None = None
     following: str = ""  # what servoing does to follow: following, or coasting, looking, turning, searching, stopped
     ride: RideStatus | None = None
+    convoy: tuple[str, ...] = ()  # who rides with this robot, in the order of their places
     robots: tuple[KnownRobot, ...] = ()
 
     @property
