@@ -1,5 +1,8 @@
 #!/usr/bin/python3
-"""Garbage, truncated, foreign-version and replayed messages are dropped and counted; what is good is still heard."""
+"""Garbage, truncated, foreign-version and replayed messages are dropped and counted; what is good is still heard.
+
+That no award can be written down is said, and stops nobody.
+"""
 
 import sys
 import unittest
@@ -7,6 +10,7 @@ from pathlib import Path
 
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -45,6 +49,9 @@ class NetworkTest(unittest.TestCase):
         watch.until(lambda: counts().get("dropped_replayed") == "1", 30, "one replayed message")
 
         self.assertEqual("requesting", watch.state(ROBOT))
+        level, text, _ = watch.diagnostic(f"{ROBOT}: hitchhike_comm")
+        self.assertEqual(DiagnosticStatus.WARN, level)
+        self.assertIn("awards are not written down: /dev/null/awards.sqlite is 'Not a directory', expected", text)
         denial = Deny(robot_id="ghost", to=ROBOT, ride_id=request.ride_id, seq=8, reason="Path too short")
         network.publish(String(encode(denial)))
         watch.until(lambda: watch.statuses[ROBOT][-1].reason == "Path too short", 30, "a good message is heard")
