@@ -14,7 +14,8 @@ everything that it started.
   --help                  print this
 
 A ride leaves ride.json (figures, boxes, CPU, modules over time), record.json (all that was recorded, for scoring it
-again), map.png, ride.bag (every topic but images) and log/ (of roslaunch and of every node).
+again), map.png, ride.bag (every topic but images), awards.sqlite (what the driver earned; rosrun hitchhike_ros awards
+reads it) and log/ (of roslaunch and of every node).
 Exit status: 0 when every ride was completed, 1 when not, 2 for wrong usage, 130 after Ctrl-C.
 """
 

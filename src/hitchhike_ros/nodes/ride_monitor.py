@@ -98,6 +98,7 @@ _ESSENTIAL = frozenset(
     {
         "hitchhike_comm",
         "map_server",
+        "network_model",
         "obstacle_avoidance",
         "path_planning",
         "simulator",
