@@ -46,7 +46,7 @@ from hitchhike_ros.protocol.machine import (
     Tick,
     stamped,
 )
-from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Message, encode
+from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Lock, Message, Request, encode
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.protocol.traveller import Traveller
@@ -384,25 +384,26 @@ class GridWorld:
     def _arrive(self, what: tuple[Message | str, list[GridRobot]]) -> None:
         """A message comes to all who hear it at the same moment."""
         sent, robots = what
+        watched = bool(self.observers or self.params.trace_events)
         for robot in robots:
             if not robot.alive:
                 continue
-            if isinstance(sent, str):
-                try:
-                    message = robot.inbox.receive(sent)
-                except MessageError:
-                    continue
-            else:
+            try:
                 message = robot.inbox.receive(sent)
+            except MessageError:
+                continue
             if message is None:
                 continue
             self.deliveries += 1
             robot.received += 1
-            if isinstance(message, Beacon):
-                self._step(robot, message)
+            if isinstance(message, Beacon):  # by far the most frequent: it changes nothing but what is remembered
+                effects = robot.traveller.step(message, self.now + robot.clock_offset_s)
+                assert not effects
+                if watched:
+                    self._tell(robot, message, effects)
                 continue
-            if not robot.engaged:  # what it knew of itself may be old
-                self._tick(robot)
+            if isinstance(message, Request | Lock) and not robot.engaged and robot.trip is not None:
+                self._tick(robot)  # what it knew of itself may be old
             self._step(robot, message)
 
     def _step(self, robot: GridRobot, event: object) -> None:
@@ -413,12 +414,12 @@ class GridWorld:
         for effect in effects:
             self._carry_out(robot, effect, local)
         key = (traveller.hitchhiker.state, traveller.driver.state)
-        if key != robot.key or robot.engaged or isinstance(event, GoalGiven | GoalCancelled):
+        told = isinstance(event, GoalGiven | GoalCancelled) or (robot.engaged and isinstance(event, Tick))
+        if told or key != robot.key:
             robot.key = key
             self._obey(robot, traveller.status(local))
         self._tell(robot, event, effects)
-        if not isinstance(event, Beacon):
-            self._plan_tick(robot)
+        self._plan_tick(robot)
 
     def _tell(self, robot: GridRobot, event: object, effects: Sequence[Effect]) -> None:
         if self.params.trace_events:
@@ -461,48 +462,45 @@ class GridWorld:
 
     def _transmit(self, sender: GridRobot, message: Message) -> None:
         self.messages += 1
-        now, network = self.now, self.network
+        now, deliveries, name = self.now, self.network.deliveries, sender.name
         arrivals: dict[float, list[GridRobot]] = {}
         for robot, apart in self._in_range(sender, message.to):
-            for time in network.deliveries(now, sender.name, robot.name, apart):
-                arrivals.setdefault(time, []).append(robot)
+            for time in deliveries(now, name, robot.name, apart):
+                if time in arrivals:
+                    arrivals[time].append(robot)
+                else:
+                    arrivals[time] = [robot]
         if arrivals:
             sent: Message | str = encode(message) if self.params.json_messages else message
             for time, robots in arrivals.items():
                 self._push(max(time, now), self._arrive, (sent, robots))
 
-    def _in_range(self, sender: GridRobot, to: str) -> Iterator[tuple[GridRobot, float]]:
+    def _in_range(self, sender: GridRobot, to: str) -> list[tuple[GridRobot, float]]:
         """Who may hear the robot, and how far away; those to whom a message is not addressed drop it anyway."""
         body = sender.body
         if to != EVERYBODY:
             robot = self.robots.get(to)
-            if robot is not None and robot.alive and robot is not sender:
-                robot.body.advance(self.now)
-                body.advance(self.now)
-                yield robot, math.hypot(robot.body.x - body.x, robot.body.y - body.y)
-            return
+            if robot is None or not robot.alive or robot is sender:
+                return []
+            robot.body.advance(self.now)
+            body.advance(self.now)
+            return [(robot, math.hypot(robot.body.x - body.x, robot.body.y - body.y))]
         places, tree = self._places()
         here, reach, robots = places[sender.index], self.network.params.range_m, self._list
-        near = range(len(robots)) if math.isinf(reach) else tree.query_ball_point(here, reach, return_sorted=True)
-        near = np.asarray(near, dtype=int)
+        near = list(range(len(robots))) if math.isinf(reach) else sorted(tree.query_ball_point(here, reach))
         aparts = np.hypot(*(places[near] - here).T).tolist()
-        for k, apart in zip(near.tolist(), aparts, strict=True):
-            robot = robots[k]
-            if robot.alive and robot is not sender:
-                yield robot, apart
+        heard = zip((robots[k] for k in near), aparts, strict=True)
+        return [(robot, apart) for robot, apart in heard if robot.alive and robot is not sender]
 
     def _places(self) -> tuple[np.ndarray, cKDTree]:
         """Where all robots are, as the radio sees it."""
-        if (
-            self._radio is None
-            or self.now - self._radio[0] > self.params.radio_refresh_s
-            or (self.params.radio_refresh_s == 0.0 and self.now != self._radio[0])
-        ):
+        radio = self._radio
+        if radio is None or self.now - radio[0] > self.params.radio_refresh_s:
             for robot in self._list:
                 robot.body.advance(self.now)
             places = np.array([(robot.body.x, robot.body.y) for robot in self._list])
-            self._radio = self.now, places, cKDTree(places)
-        return self._radio[1:]
+            radio = self._radio = self.now, places, cKDTree(places)
+        return radio[1:]
 
     # What its modules do.
 
