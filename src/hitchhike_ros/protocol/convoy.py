@@ -30,11 +30,15 @@ class Offer:
 
 @dataclass(eq=False)
 class Rider:
-    """A hitchhiker that was offered a ride, and how it fares; ``due`` is when it will be at its waiting place."""
+    """A hitchhiker that was offered a ride, and how it fares.
+
+    ``due`` is when it will be at its waiting place, ``heard_at`` when it said so last.
+    """
 
     offer: Offer
     plate: Plate | None = None
     due: float = 0.0
+    heard_at: float = 0.0
     coupled: bool = False
     leaving: bool = False
     ridden_m: float = 0.0

@@ -13,6 +13,8 @@ from enum import Enum
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from hitchhike_ros.datatypes import HitchhikingPoint, Pose2D
 from hitchhike_ros.errors import ItineraryInputError, PlanningError
 from hitchhike_ros.geometry import between, compose, distance, point_in_polygon
@@ -64,6 +66,7 @@ NOT_OFFERED = "No such offer"
 CLOSING_UP = "Riders move up"
 RIDE_COMPLETED = "Ride completed"
 RIDER_LOST = "Hitchhiker lost"
+RIDER_GONE = "Hitchhiker not heard of"
 NO_HANDOVER = "Handover not acknowledged"
 CANNOT_GO_ON = "Navigation failed"
 ARRIVED = "Goal reached"
@@ -130,7 +133,7 @@ class DriverMachine(Machine[DriverState]):
         Row((S.ALIGNING, S.ALIGNED), Lock, "_confirm_lock"),
         Row((S.IDLE, *WITH_RIDER), Lock, "_refuse_lock"),
         Row((S.ALIGNING,), Tick, "_watch_alignment", (S.ALIGNED, S.NAVIGATING)),
-        Row((S.ALIGNED,), Tick, "_repeat_aligned"),
+        Row((S.ALIGNED,), Tick, "_repeat_aligned", (S.NAVIGATING, S.DRIVING)),
         Row((S.ALIGNED,), Coupled, "_note_coupled", (S.ALIGNED, S.DRIVING)),
         Row((S.ALIGNED,), Ack, "_note_ack"),
         Row((S.DRIVING,), Tick, "_watch_ride", (S.WAITING_FOR_RIDER, S.DECOUPLING, S.NAVIGATING)),
@@ -257,7 +260,9 @@ class DriverMachine(Machine[DriverState]):
         assert self._path is not None
         if self.state is S.NAVIGATING:
             return self._path.waypoints(self.params.cruise_speed_mps)
-        onward = OwnPath(self._path.ahead(self._board_m)[0])
+        assert self.offer is not None
+        ends = [(pose.x, pose.y) for pose in (self.offer.point.waiting_pose, self.offer.point.aligning_pose)]
+        onward = OwnPath(np.vstack([ends, self._path.ahead(self._board_m)[0][1:]]))
         return onward.waypoints(self.params.ride_speed_mps, self._to_board_m() / self.speed_limit_mps)
 
     # Actions of the table, in its order.
@@ -305,6 +310,8 @@ class DriverMachine(Machine[DriverState]):
         rider = self._convoy.of(request.robot_id)
         if rider is None:
             self._ask_to_join(request)
+        elif request.in_s > 0.0:
+            self._deny(request, ALREADY_DRIVING)  # of another driver, it means, for when this ride is over
         elif request.ride_id != rider.offer.ride_id:
             self._drop(rider, ASKED_ANEW, tell=False)
             answer = self._consider if self.state is S.NAVIGATING else self._ask_to_join
@@ -338,7 +345,7 @@ class DriverMachine(Machine[DriverState]):
                 self._refuse_lock(lock, offer)
                 return
             rider = self._join(lock, offer)
-        rider.due = self._now + lock.in_s
+        rider.due, rider.heard_at = self._now + lock.in_s, self._now
         place = self._convoy.place(rider)
         self._send(Ack(**self._to(rider), of=lock.type, acknowledges=lock.seq, place=place))
 
@@ -354,8 +361,13 @@ class DriverMachine(Machine[DriverState]):
             self._repeat_aligned()
         elif outcome is not None:
             self._unable_to_align()
+        else:
+            self._drop_silent()
 
     def _repeat_aligned(self, _tick: Tick | None = None) -> None:
+        self._drop_silent()
+        if self.state is not S.ALIGNED:
+            return
         self._inform_all()
         rider, estimate = self._convoy.next_to_couple, self.situation.estimate
         if rider is None or estimate is None or not self._every(self.params.repeat_period_s, "aligned"):
@@ -647,6 +659,13 @@ class DriverMachine(Machine[DriverState]):
     def _missing(self, since: float) -> tuple[Rider, ...]:
         """Those that do not follow, or have not said so since then."""
         return tuple(r for r in self._convoy.coupled if not r.following or r.acked_at <= since)
+
+    def _drop_silent(self) -> None:
+        """A hitchhiker that is to come says now and then when; one that does not is gone."""
+        for rider in self._convoy:
+            silent = self._now - max(rider.heard_at, rider.due) > self.params.contact_timeout_s
+            if self.params.mode == "network" and not rider.coupled and silent:
+                self._drop(rider, RIDER_GONE, tell=True)
 
     def _inform_all(self, but: tuple[Rider, ...] = ()) -> None:
         """The message of every δ seconds (P17 §4)."""

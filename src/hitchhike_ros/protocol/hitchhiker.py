@@ -59,6 +59,7 @@ from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatu
 
 DRIVER_NOT_FOUND = "Driver not found"
 ALONE_IS_BETTER = "Driving alone is better"
+DRIVER_GONE = "Driver not heard of"
 CANNOT_MEET = "No way to the hitchhiking point"
 DRIVER_LOST = "Driver lost"
 DRIVER_SILENT = "No message from the driver"
@@ -320,7 +321,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if self.offer is not None:
             self._offers.pop(self.offer.robot_id, None)
         self._cancel_offers()
-        self._place, self._sent_off, self._lost_way_at = ack.place, False, None
+        self._place, self._sent_off, self._lost_way_at, self._heard_at = ack.place, False, None, self._now
         self._way = None if self.meeting is not None else self._turn_into_line()
         self._go(S.AWAITING_ALIGNED)
 
@@ -330,18 +331,22 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             return
         if not self._sent_off and self.ready_in_s <= 0.0 and self.situation.estimate is not None:
             self._way, self._sent_off = self._way_to_wait(), True
-        if self._no_way():
-            self._tell(Terminate(**self._to_driver(), reason=CANNOT_MEET))
-            self._ask_again(CANNOT_MEET)
+        gone = self._now - self._heard_at > self.params.contact_timeout_s
+        if gone or self._no_way():
+            reason = DRIVER_GONE if gone else CANNOT_MEET
+            self._tell(Terminate(**self._to_driver(), reason=reason))
+            self._ask_again(reason)
         elif self._every(self.params.request_period_s, "lock"):
             self._send_lock()
 
     def _note_place(self, ack: Ack) -> None:
+        self._heard_at = self._now
         if ack.of == Lock.type and ack.place != self._place:
             self._place, self._sent_off = ack.place, False
 
     def _couple(self, aligned: Aligned) -> None:
         if self.meeting is not None and not self._in_place():
+            self._heard_at = self._now
             return  # the driver says so again
         self._in_gap_since = self._report_at = None
         if aligned.ahead is not None:

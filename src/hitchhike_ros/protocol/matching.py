@@ -29,6 +29,8 @@ Planner = Callable[[Pose2D, Pose2D], FloatArray]
 
 # How far the hitchhiker stands behind the driver where there is no hitchhiking point, beyond the gap (chosen).
 _ROOM_M = 0.4
+# Who passes a hitchhiking point by so much goes there (chosen: half the width of a wide corridor).
+_SITE_M = 1.5
 # A ride takes its rider nearer to its goal by this much of its length, as the crow flies (chosen).
 _LEAST_PROGRESS = 0.5
 
@@ -122,7 +124,7 @@ def stretch(driver: OwnPath, aligning: Pose2D, leave: tuple[float, float]) -> tu
     Raises:
         ItineraryInputError: either is not on the path ahead, or the path goes another way there; it names which.
     """
-    tolerance = RideRules.site_tolerance_m + _ROOM_M
+    tolerance = _SITE_M + _ROOM_M
     away, begin_m = driver.nearest(aligning.x, aligning.y, driver.come_m)
     if away > tolerance or math.cos(driver.at(begin_m).theta - aligning.theta) <= 0.0:
         raise ItineraryInputError("driver", "aligning", aligning, "a place on its path, heading along it")
@@ -162,6 +164,7 @@ def _rules(params: HitchhikingParameters) -> RideRules:
         decouple_s=params.decouple_s,
         ride_speed_mps=params.ride_speed_mps,
         board_anywhere=params.board_anywhere,
+        site_tolerance_m=_SITE_M,
         max_age_s=math.inf,  # what is too old has not been kept
     )
 

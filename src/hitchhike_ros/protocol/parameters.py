@@ -51,6 +51,7 @@ class HitchhikingParameters:
     confirm_timeout_s: Positive = 3.0  # of an offer or a lock
     ack_timeout_s: Positive = 1.5  # the driver stops when acknowledgements are missing for so long
     lost_timeout_s: Positive = 40.0  # T_lost: then the driver goes on without its rider
+    contact_timeout_s: Positive = 15.0  # who is on the way to the other and hears nothing for so long gives up
     message_timeout_s: Positive = 5.0  # the rider gives up when the driver says nothing for so long
     seek_timeout_s: Positive = 8.0  # for finding the marker again by coasting and turning
     catch_up_timeout_s: Positive = 20.0  # for driving up behind a driver that waits
