@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from simulated_room import PACKAGE
 
 from hitchhike_ros.datatypes import Pose2D
+from hitchhike_ros.experiments import bench_following
 from hitchhike_ros.experiments.bench_following import coupling_figures, lost_figures, ride_figures
+from hitchhike_ros.experiments.benchmark import Options
 from hitchhike_ros.experiments.couplings import WALL, CouplingResult
 from hitchhike_ros.experiments.following_rides import (
     CORNERS,
@@ -130,3 +135,23 @@ def test_every_mishap_begins_now_and_concerns_one_of_the_pair() -> None:
 def test_couplings_are_judged_by_their_medians_and_none_may_fail(couple_s, decouple_s, contacts, broken) -> None:
     results = tuple(CouplingResult(seed, couple_s, decouple_s, contacts) for seed in range(3))
     assert [figure.name for figure in coupling_figures(WALL, results) if figure.ok is False] == broken
+
+
+def test_the_whole_benchmark_writes_every_run_and_gives_every_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its hour is not spent here: the runs are made up."""
+    made_up: dict[str, Any] = {
+        "coupling": CouplingResult(0, 5.0, 1.0, ()),
+        "drivers": replace(LOST, mishap=MISHAPS[0]),
+    }
+
+    def run_all(what: str, _run: object, seeds: range, _progress: object) -> tuple[Any, ...]:
+        return tuple(made_up.get(what.split(maxsplit=1)[0], course) for _ in seeds)
+
+    monkeypatch.setattr(bench_following, "run_all", run_all)
+    figures = bench_following.run(Options(PACKAGE, PACKAGE, tmp_path), lambda *_: None)
+    assert all(figure.ok for figure in figures if figure.bound is not None)
+    assert sum(figure.bound is not None for figure in figures) >= 20
+    written = json.loads((tmp_path / "following.json").read_text())
+    assert sorted(len(runs) for runs in written.values()) == [20, 20, 20, 20, 20, 20, 50]

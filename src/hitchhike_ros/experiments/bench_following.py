@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from hitchhike_ros.experiments.figures import Figure
 from hitchhike_ros.experiments.following_rides import CORNERS, FAST, S_BEND, STRAIGHT, Course, RideResult, ride
 from hitchhike_ros.experiments.lost_drivers import RIDES_ON_S, LostResult, lose
 from hitchhike_ros.experiments.parallel import run_all, write_results
+
+R = TypeVar("R")
 
 _SEEDS, _QUICK = 20, 1
 _LOST_SEEDS, _LOST_QUICK = 50, 7  # one of each kind when quick
@@ -25,25 +28,23 @@ _STRAIGHT_GAP_M, _STRAIGHT_LATERAL_M, _CORNER_LATERAL_M = 0.03, 0.04, 0.10
 def run(options: Options, progress: Progress) -> list[Figure]:
     """Ride; every figure is the worst of its rides unless it says otherwise. Each run is in ``following.json``."""
 
-    def rides(course: Course) -> tuple[RideResult, ...]:
-        seeds = range(options.seed, options.seed + (_QUICK if options.quick else _SEEDS))
-        return run_all(course.name, partial(ride, options.package, course), seeds, progress)
+    written: dict[str, Sequence[Any]] = {}
 
-    def couplings(place: Place) -> tuple[CouplingResult, ...]:
-        seeds = range(options.seed, options.seed + (_QUICK if options.quick else _SEEDS))
-        return run_all(f"coupling {place.name}", partial(couple, options.package, place), seeds, progress)
+    def runs(what: str, run: Callable[[int], R], quick: int, full: int) -> tuple[R, ...]:
+        seeds = range(options.seed, options.seed + (quick if options.quick else full))
+        written[what] = results = run_all(what, run, seeds, progress)
+        write_results(options.output / "following.json", written)  # what is known is kept, whatever comes after
+        return results
 
-    coupled = {place: couplings(place) for place in (MARKER, WALL)}
-    straight, fast, corners, s_bend = (rides(course) for course in (STRAIGHT, FAST, CORNERS, S_BEND))
-    seeds = range(options.seed, options.seed + (_LOST_QUICK if options.quick else _LOST_SEEDS))
-    lost = run_all("drivers lost", partial(lose, options.package), seeds, progress)
-    courses = {STRAIGHT: straight, FAST: fast, CORNERS: corners, S_BEND: s_bend}
-    results = {
-        **{f"coupling {place.name}": couplings for place, couplings in coupled.items()},
-        **{course.name: rides for course, rides in courses.items()},
-        "drivers lost": lost,
+    coupled = {
+        place: runs(f"coupling {place.name}", partial(couple, options.package, place), _QUICK, _SEEDS)
+        for place in (MARKER, WALL)
     }
-    write_results(options.output / "following.json", results)
+    straight, fast, corners, s_bend = (
+        runs(course.name, partial(ride, options.package, course), _QUICK, _SEEDS)
+        for course in (STRAIGHT, FAST, CORNERS, S_BEND)
+    )
+    lost = runs("drivers lost", partial(lose, options.package), _LOST_QUICK, _LOST_SEEDS)
     return [
         *(figure for place, results in coupled.items() for figure in coupling_figures(place, results)),
         *ride_figures(STRAIGHT, straight),
