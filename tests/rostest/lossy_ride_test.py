@@ -59,8 +59,9 @@ class LossyRideTest(unittest.TestCase):
         self.assertAlmostEqual(0.4 * credit.ride_m, credit.points)
 
     def test_the_network_lost_and_doubled_messages(self) -> None:
-        counts = {key: int(value) for key, value in self.network().items() if value.isdecimal()}
-        print(counts)
+        values = self.watch.until(lambda: self.watch.diagnostic(": network_model")[2], 30, "the network's counts")
+        print(values)
+        counts = {key: int(value) for key, value in values.items() if value.isdecimal()}
         for pair in (f"{DRIVER}_to_{RIDER}", f"{RIDER}_to_{DRIVER}"):
             sent = counts[f"sent_{pair}"]
             self.assertGreater(sent, 100)
@@ -81,10 +82,6 @@ class LossyRideTest(unittest.TestCase):
         said = [(message.robot_id, message.seq) for message in self.watch.of_type(Message)]
         self.assertEqual({DRIVER, RIDER}, {robot for robot, _ in said})
         self.assertEqual(len(said), len(set(said)), "and once")
-
-    def network(self) -> dict[str, str]:
-        """The values that the network reports."""
-        return self.watch.until(lambda: self.watch.diagnostic(": network_model")[2], 30, "the network's counts")
 
 
 if __name__ == "__main__":
