@@ -87,7 +87,7 @@ def test_the_setup_installs_what_the_manifest_names(robot: bool, display: str) -
     expected = names(manifest, DEPENDENCIES[:-1] if robot else DEPENDENCIES)
     expected |= {"=".join((name, "", version)) for name, version in wheels().items()}
     if robot:
-        left_out = ("pybullet==", "mypy==", "pupil-apriltags==", "pyastar2d==", "ruff==")
+        left_out = ("distributed==", "pybullet==", "mypy==", "pupil-apriltags==", "pyastar2d==", "ruff==")
         expected -= {line for line in expected if line.startswith(left_out)}
     command = [str(ROOT / "launch_scripts" / "setup"), "--list", *(["--robot"] if robot else [])]
     listed = subprocess.run(command, env={**os.environ, "DISPLAY": display}, capture_output=True, text=True, check=True)
@@ -110,6 +110,6 @@ def test_a_script_calls_the_main_of_its_node(script: Path) -> None:
     lines = script.read_text(encoding="utf-8").split("\n")
     assert lines[:3] == ["#!/usr/bin/python3", f"from hitchhike_ros.nodes.{script.name} import main", ""]
     guarded = ["# Worker processes load this file too.", 'if __name__ == "__main__":', "    main()", ""]
-    assert lines[3:] == (guarded if script.name == "bench" else ["main()", ""])
+    assert lines[3:] == (guarded if script.name in ("bench", "experiments") else ["main()", ""])
     module = ast.parse((ROOT / "src" / "hitchhike_ros" / "nodes" / f"{script.name}.py").read_text(encoding="utf-8"))
     assert "main" in {node.name for node in module.body if isinstance(node, ast.FunctionDef)}

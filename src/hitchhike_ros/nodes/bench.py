@@ -47,10 +47,10 @@ def main() -> None:
     figures: dict[str, list[Figure]] = {}
     for name in arguments.names:
         try:
-            figures[name] = list(load(name).run(options, _progress))
+            figures[name] = list(load(name).run(options, show_progress))
         except HitchhikeError as exc:
             sys.exit(f"bench {name}: {exc}")
-        _clear()
+        clear_progress()
         print(f"{name}\n{figure_table(figures[name], has_colours(sys.stdout), 'peer')}\n", flush=True)
     if arguments.json is not None:
         versions = {"python": platform.python_version(), "machine": platform.machine()}
@@ -60,13 +60,15 @@ def main() -> None:
         sys.exit(1)
 
 
-def _progress(step: str, done: int, of: int) -> None:
+def show_progress(step: str, done: int, of: int) -> None:
+    """A living line on a terminal, else a line now and then."""
     if sys.stderr.isatty():
         print(f"\r{step}: {done} of {of}\x1b[K", end="", file=sys.stderr, flush=True)
     elif of <= 10 or done == of or done % max(of // 10, 1) == 0:
         print(f"{step}: {done} of {of}", file=sys.stderr, flush=True)
 
 
-def _clear() -> None:
+def clear_progress() -> None:
+    """What follows begins at the beginning of the line."""
     if sys.stderr.isatty():
         print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -139,9 +139,7 @@ def _canvas(world: GridWorld) -> tuple[Figure, Axes]:
     for box in world.boxes:
         axes.add_patch(Rectangle((box.x, box.y), box.w, box.b, facecolor="#8B4513", edgecolor="none", zorder=1))
     axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xlabel="x in map (m)", ylabel="y in map (m)")
-    handles = [
-        Line2D([], [], marker="o", linestyle="", color=colour, label=label) for colour, label in _KINDS.values()
-    ]
+    handles = [Line2D([], [], marker="o", linestyle="", color=colour, label=label) for colour, label in _KINDS.values()]
     handles.append(Line2D([], [], color=_PAIRS[0], linewidth=5, alpha=0.6, label="ride"))
     handles.append(Line2D([], [], color=_SITE, linewidth=8, alpha=0.6, label="hitchhiking point"))
     if world.boxes:
@@ -163,7 +161,9 @@ def _draw_frame(axes: Axes, shown: Frame, title: str) -> list:
     pairs = [_PAIRS[a.leader % len(_PAIRS)] for a, _ in rides if a.leader is not None]
     halo = math.sqrt(size) * 1.9
     artists.append(
-        axes.add_collection(LineCollection(links, colors=pairs, linewidths=halo, alpha=0.55, capstyle="round", zorder=3))
+        axes.add_collection(
+            LineCollection(links, colors=pairs, linewidths=halo, alpha=0.55, capstyle="round", zorder=3)
+        )
     )
     xy = np.array([(r.x, r.y) for r in robots]).reshape(-1, 2)
     artists.append(axes.scatter(*xy.T, s=size, c=[_KINDS[r.kind][0] for r in robots], linewidths=0, zorder=4))

@@ -23,7 +23,7 @@ from hitchhike_ros.errors import (
 )
 from hitchhike_ros.mapping.grid import BoolArray, OccupancyGrid, distance_to
 from hitchhike_ros.planning.astar import Cell, CostArray
-from hitchhike_ros.planning.costmap import label_regions
+from hitchhike_ros.planning.costmap import CostmapParameters, label_regions
 from hitchhike_ros.planning.dstar_lite import DStarLite
 
 Point = tuple[float, float]
@@ -39,10 +39,14 @@ _SEARCHES = 160
 class GridPaths:
     """Plans for robots of one size on one map with boxes that not everybody knows.
 
-    ``clearance_m`` is the least distance of a robot's centre to an obstacle's edge.
+    ``clearance_m`` is the least distance of a robot's centre to an obstacle's edge. The papers' paths have the least
+    length; with a ``weight`` (as ``clearance_weight`` of :mod:`hitchhike_ros.planning.costmap`) they keep to the middle.
     """
 
-    def __init__(self, grid: OccupancyGrid, clearance_m: float, boxes: Iterable[Obstacle] = ()) -> None:
+    def __init__(
+        self, grid: OccupancyGrid, clearance_m: float, boxes: Iterable[Obstacle] = (), weight: float = 0.0
+    ) -> None:
+        self._weight = weight
         self.grid, self.clearance_m = grid, clearance_m
         self.boxes = {box.id: box for box in boxes}
         self._obstacles = grid.data != 0
@@ -157,7 +161,8 @@ class GridPaths:
         if cost is None:
             blocked = self._obstacles if not known else self._with_boxes(known)
             clearance = distance_to(blocked, self._resolution) - self._resolution / 2
-            cost = np.where(clearance < self.clearance_m, np.inf, 1.0).astype(np.float32)
+            near = np.maximum(1.0 - clearance / CostmapParameters.inflation_m, 0.0) ** 2
+            cost = np.where(clearance < self.clearance_m, np.inf, 1.0 + self._weight * near).astype(np.float32)
             self._costs[known] = cost
         return cost
 

@@ -71,6 +71,7 @@ class GridWorldParameters:
 
     radius_m: Positive = 0.2
     margin_m: NonNegative = 0.05  # free room beside a robot under way
+    clearance_weight: NonNegative = 0.0  # above 0, paths keep to the middle of passages
     perception_m: Positive = 3.0  # new boxes are seen from so far
     position_sigma_m: NonNegative = 0.02  # noise and covariance of what localization says
     heading_sigma_rad: NonNegative = 0.01
@@ -208,7 +209,7 @@ class GridWorld:
         self.params = params or GridWorldParameters()
         self.grid, self.sites, self.boxes = grid, sites, tuple(boxes)
         self.network = network or NetworkModel(NetworkParameters())
-        self.paths = GridPaths(grid, self.params.radius_m + self.params.margin_m, boxes)
+        self.paths = GridPaths(grid, self.params.radius_m + self.params.margin_m, boxes, self.params.clearance_weight)
         self.robots: dict[str, GridRobot] = {}
         self.observers: list[Observer] = []
         self.now = 0.0
