@@ -51,7 +51,7 @@ class NetworkTest(unittest.TestCase):
         self.assertEqual("requesting", watch.state(ROBOT))
         level, text, _ = watch.diagnostic(f"{ROBOT}: hitchhike_comm")
         self.assertEqual(DiagnosticStatus.WARN, level)
-        self.assertIn("awards are not written down: /dev/null/awards.sqlite is 'Not a directory', expected", text)
+        self.assertIn("awards are not written down: /dev/null/awards.sqlite is 'below /dev/null, which", text)
         denial = Deny(robot_id="ghost", to=ROBOT, ride_id=request.ride_id, seq=8, reason="Path too short")
         network.publish(String(encode(denial)))
         watch.until(lambda: watch.statuses[ROBOT][-1].reason == "Path too short", 30, "a good message is heard")

@@ -141,6 +141,8 @@ class AwardLedger:
             raise LedgerError(self.path, "", str(exc), expected) from exc
         except sqlite3.DatabaseError as exc:
             raise LedgerFormatError(self.path, "", str(exc), _EXPECTED) from exc
+        except FileExistsError as exc:
+            raise LedgerError(self.path, "", f"below {self.path.parent}, which is no folder", expected) from exc
         except OSError as exc:
             raise LedgerError(self.path, "", exc.strerror, expected) from exc
         finally:
