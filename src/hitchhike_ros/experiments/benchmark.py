@@ -13,7 +13,16 @@ from hitchhike_ros.experiments.figures import Figure
 # Says what is being done, and how far: step, done, of so many.
 Progress = Callable[[str, int, int], None]
 
-NAMES: tuple[str, ...] = ("planning", "localization", "mapping", "avoidance", "tracking", "following", "itineraries")
+NAMES: tuple[str, ...] = (
+    "planning",
+    "localization",
+    "mapping",
+    "avoidance",
+    "tracking",
+    "following",
+    "itineraries",
+    "faults",
+)
 
 
 @dataclass(frozen=True)
@@ -25,6 +34,8 @@ class Options:
     output: Path
     seed: int = 0
     quick: bool = False
+    seeds: int | None = None
+    """How many, where a benchmark has seeds; None: as many as it thinks right."""
 
 
 class Benchmark(Protocol):

@@ -6,6 +6,7 @@ Measures what the package does, with peers beside it in the same run where there
   --output DIR   folder for pictures (runs/bench)
   --data DIR     third-party data (../shared/data beside the package)
   --seed N       first seed (0)
+  --seeds N      so many, where a benchmark has seeds to choose from: faults (10000)
   --quick        fewer seeds and smaller sizes, to see that it works
   --check        the exit status also says whether every bound holds
 """
@@ -36,14 +37,17 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("runs/bench"))
     parser.add_argument("--data", type=Path, default=package.parent / "shared" / "data")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--check", action="store_true")
     arguments = parser.parse_args()
+    if arguments.seeds is not None and arguments.seeds < 1:
+        parser.error(f"--seeds {arguments.seeds}: expected 1 or more")
     try:
         arguments.output.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
         parser.error(f"--output {arguments.output}: {exc.strerror}, expected a folder that can be written")
-    options = Options(package, arguments.data, arguments.output, arguments.seed, arguments.quick)
+    options = Options(package, arguments.data, arguments.output, arguments.seed, arguments.quick, arguments.seeds)
     figures: dict[str, list[Figure]] = {}
     for name in arguments.names:
         try:

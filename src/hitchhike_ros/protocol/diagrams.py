@@ -8,7 +8,7 @@ from hitchhike_ros.protocol.machine import Machine, Tick
 
 _HEAD = (
     'graph [rankdir=TB, nodesep=0.45, ranksep=0.5, fontname="sans-serif"]',
-    'node [shape=box, style="rounded,filled", fillcolor="#e8f0fa", color="steelblue", fontname="sans-serif", fontsize=12]',
+    'node [shape=box, style="rounded,filled", fillcolor="#e8f0fa", color="gray40", fontname="sans-serif", fontsize=12]',
     'edge [color="#7a8a9a", fontname="sans-serif", fontsize=9, fontcolor="#333333"]',
 )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
@@ -298,11 +299,11 @@ def decode(text: str) -> Message:
     except msgspec.ValidationError as exc:
         raise MessageError(f"{kind}: {exc}") from exc
     for name, pose in _poses(message, content):  # elsewhere "nowhere in particular", here all or nothing
-        if not {"x", "y", "theta"} <= set(pose):
+        if len(pose) < 3 or not {"x", "y", "theta"} <= set(pose):
             raise MessageError(f"{kind}: {name} is {pose}, expected x, y and theta")
-    for name, value in _floats(message):
-        if not math.isfinite(value):
-            raise MessageError(f"{kind}: {name} is {value}, expected a finite number")
+    if not _finite(message):
+        name, value = next((name, value) for name, value in _floats(message) if not math.isfinite(value))
+        raise MessageError(f"{kind}: {name} is {value}, expected a finite number")
     for name in ("sigma", "seen_sigma"):
         sigma = getattr(message, name, None)
         if sigma is not None and not _is_covariance(sigma):
@@ -326,13 +327,36 @@ def _is_covariance(sigma: Covariance) -> bool:
     return bool(np.abs(scaled - scaled.T).max() <= 1e-9 and np.linalg.eigvalsh(scaled)[0] >= -1e-9)
 
 
+@cache
+def _names(cls: type) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(cls))
+
+
+@cache
+def _names_of_poses(cls: type) -> tuple[str, ...]:
+    """Fields that may hold a pose, or a plate with one."""
+    return tuple(f.name for f in fields(cls) if "Pose2D" in str(f.type) or "Plate" in str(f.type))
+
+
 def _poses(value: object, content: Any, name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
     """Every pose in a message as it came, with the name of its field."""
     if isinstance(value, Pose2D):
         yield name, content
     elif isinstance(value, Message | Plate):
-        for f in fields(value):
-            yield from _poses(getattr(value, f.name), content.get(f.name), f"{name}.{f.name}" if name else f.name)
+        for field in _names_of_poses(type(value)):
+            if (inner := getattr(value, field)) is not None:
+                yield from _poses(inner, content[field], f"{name}.{field}" if name else field)
+
+
+def _finite(value: object) -> bool:
+    """Whether every number in a message is."""
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, tuple):
+        return all(map(_finite, value))
+    if is_dataclass(value):
+        return all(_finite(getattr(value, name)) for name in _names(type(value)))
+    return True
 
 
 def _floats(value: object, name: str = "") -> Iterator[tuple[str, float]]:

@@ -58,6 +58,8 @@ from hitchhike_ros.simulation.network_model import NetworkModel, NetworkParamete
 QUIET_STATES = frozenset({"idle", "navigating"})
 # States of a rider whose metres are ridden.
 COUPLED_STATES = frozenset({"riding", "seeking", "settling"})
+# Of one that looks for a ride, and goes to where it begins.
+ASKING_STATES = frozenset({"requesting", "locking", "awaiting_aligned", "coupling"})
 
 # Two events of one robot are not nearer than this, or an arrival could cause itself.
 _LEAST_STEP_S = 0.01
@@ -118,7 +120,8 @@ class Trip:
     reason: str = ""
     driven_m: float = 0.0
     ridden_m: float = 0.0
-    waited_s: float = 0.0
+    coupled_s: float = 0.0  # with its own modules off
+    asked_s: float = 0.0  # in the states before a ride
 
 
 class _Objects:
@@ -160,6 +163,8 @@ class GridRobot:
     sent: Counter[str] = field(default_factory=Counter)
     received: int = 0
     ridden_m: float = 0.0
+    coupled_s: float = 0.0
+    asked_s: float = 0.0
     alive: bool = True
     # Of the event loop.
     inbox: Any = None
@@ -275,7 +280,12 @@ class GridWorld:
         if (trip := robot.trip) is not None:
             self._end_trip(robot, trip, False, "Goal changed")
         if goal is not None:
-            robot.trips.append(Trip(goal, self.now, driven_m=robot.body.odometer_m, ridden_m=robot.ridden_m))
+            robot.body.advance(self.now)
+            self._account(robot)
+            trip = Trip(goal, self.now)
+            trip.driven_m, trip.ridden_m = -robot.body.odometer_m, -robot.ridden_m
+            trip.coupled_s, trip.asked_s = -robot.coupled_s, -robot.asked_s
+            robot.trips.append(trip)
         self._step(robot, GoalCancelled() if goal is None else GoalGiven(goal))
         self._schedule(robot, self.now)
 
@@ -298,6 +308,8 @@ class GridWorld:
         self._schedule(robot, self.now)
         if (trip := robot.trip) is not None:
             self._step(robot, GoalGiven(trip.goal))
+        elif robot.errands:
+            self.at(max(self.now, robot.errands[0].at_s), lambda: self._next_errand(robot))
 
     def at(self, time: float, action: Callable[[], None]) -> None:
         """Do this then: what a scenario or a fault wants."""
@@ -339,6 +351,14 @@ class GridWorld:
         body.advance(self.now)
         return body.pose
 
+    def mean_in_range(self) -> float:
+        """How many others a robot can hear now, on average."""
+        reach, robots = self.network.params.range_m, len(self._list)
+        if math.isinf(reach):
+            return robots - 1.0
+        tree = self._places()[1]
+        return (tree.count_neighbors(tree, reach) - robots) / max(robots, 1)
+
     def trace(self) -> Iterator[str]:
         """The last events, a line each."""
         for time, name, event, effects in self._trace:
@@ -379,7 +399,7 @@ class GridWorld:
                 )
 
     def _next_errand(self, robot: GridRobot) -> None:
-        if robot.errands and robot.trip is None:
+        if robot.alive and robot.errands and robot.trip is None:
             self.give_goal(robot.name, robot.errands.popleft().goal)
 
     def _arrive(self, what: tuple[Message | str, list[GridRobot]]) -> None:
@@ -685,13 +705,18 @@ class GridWorld:
         robot.state_s[state] += passed
         if state in COUPLED_STATES:
             robot.ridden_m += metres
+            robot.coupled_s += passed
+        elif state in ASKING_STATES:
+            robot.asked_s += passed
         robot.since, robot.metres_at = self.now, robot.body.odometer_m
 
     def _end_trip(self, robot: GridRobot, trip: Trip, reached: bool, reason: str) -> None:
         self._account(robot)
         trip.ended_s, trip.reached, trip.reason = self.now, reached, reason
-        trip.driven_m = robot.body.odometer_m - trip.driven_m
-        trip.ridden_m = robot.ridden_m - trip.ridden_m
+        trip.driven_m += robot.body.odometer_m
+        trip.ridden_m += robot.ridden_m
+        trip.coupled_s += robot.coupled_s
+        trip.asked_s += robot.asked_s
 
     def _traveller(self, name: str, params: HitchhikingParameters) -> Traveller:
         p = self.params
