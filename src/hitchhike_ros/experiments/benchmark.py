@@ -22,6 +22,7 @@ NAMES: tuple[str, ...] = (
     "following",
     "itineraries",
     "faults",
+    "fleet",
 )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -75,10 +75,10 @@ def _jobs(maps: Path, seed: int) -> list[Job]:
             for profiles in orders()
         ]
     for delay in base["delays_s"]:
-        one = {"seed": seed, "delay_s": float(delay)}
-        jobs.append(Job(where, "no_drivers", "network", **one))
-        jobs += [Job(where, "priority", "network", driver=name, **one) for name in DRIVERS]
-        jobs += [Job(where, "speed", "network", factor=float(factor), **one) for factor in base["factors"]]
+        one = Job(where, "no_drivers", "network", seed, float(delay))
+        jobs.append(one)
+        jobs += [replace(one, experiment="priority", driver=name) for name in DRIVERS]
+        jobs += [replace(one, experiment="speed", factor=float(factor)) for factor in base["factors"]]
     return jobs
 
 

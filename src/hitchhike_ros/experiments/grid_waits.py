@@ -72,7 +72,7 @@ def run(job: Job) -> Outcome:
     met = next((time - asked for time, state, _ in robot.history if state == "coupling"), None)
     drivers = [name for name, other in world.robots.items() if other.awards]
     over = [time for time in (left, met) if time is not None]
-    # In a network it leaves as soon as all have denied; without, the paper counts until the only one to come has denied.
+    # In a network it leaves once all have denied; without, the paper counts until the only one to come has denied.
     wait = min([*over, *(denials if job.mode == "local" else [])])
     return Outcome(
         job=job,

@@ -40,7 +40,7 @@ class GridPaths:
     """Plans for robots of one size on one map with boxes that not everybody knows.
 
     ``clearance_m`` is the least distance of a robot's centre to an obstacle's edge. The papers' paths have the least
-    length; with a ``weight`` (as ``clearance_weight`` of :mod:`hitchhike_ros.planning.costmap`) they keep to the middle.
+    length; with a ``weight``, ``clearance_weight`` of :mod:`hitchhike_ros.planning.costmap`, they keep to the middle.
     """
 
     def __init__(
