@@ -9,7 +9,7 @@ from simulated_room import PACKAGE
 
 from hitchhike_ros.datatypes import Marker, Pose2D
 from hitchhike_ros.errors import WorldFileError
-from hitchhike_ros.mapping.sites import load_sites
+from hitchhike_ros.mapping.sites import Sites, load_hitchhiking, load_sites
 from hitchhike_ros.simulation.world_file import distance_to_box, load_world
 
 SHIPPED = PACKAGE / "maps" / "p17_exp1.world.yaml"
@@ -110,6 +110,13 @@ BAD = [
     ("robots.r.start", None, "robots.r", "start"),
     ("robots.r.start.x", "east", "robots.r.start.x", "float"),
     ("robots.r.goal", {"x": 1, "y": 1, "theta": float("nan")}, "robots.r.goal.theta", "finite"),
+    ("robots.r.goal_at_s", -1.0, "robots.r.goal_at_s", ">= 0"),
+    ("robots.r.hitchhiking", {"seats": 2}, "robots.r.hitchhiking.seats", "one of the fields"),
+    ("robots.r.hitchhiking", {"places": 0}, "robots.r.hitchhiking.places", ">= 1"),
+    ("hitchhiking", {"mode": "radio"}, "hitchhiking.mode", "radio"),
+    ("hitchhiking", ["network"], "hitchhiking", "a mapping"),
+    ("base", "nowhere.yaml", "base", "the path of another"),
+    ("base", "test.world.yaml", "base", "not based on this one"),
 ]
 
 
@@ -121,6 +128,34 @@ def test_a_bad_field_is_named(path: str, value: object, field: str, expected: st
     assert caught.value.file == str(file)
     assert caught.value.field == field
     assert expected in caught.value.expected
+
+
+def test_a_file_may_change_another_one(tmp_path: Path) -> None:
+    base = write(tmp_path, {**CONTENT, "hitchhiking": {"mode": "network"}})
+    (tmp_path / "other").mkdir()
+    path = tmp_path / "other" / "changed.world.yaml"
+    changes = {"r": {"goal": {"x": 3, "y": 1, "theta": 0}, "goal_at_s": 2}, "s": CONTENT["robots"]["r"]}
+    path.write_text(yaml.safe_dump({"base": "../test.world.yaml", "boxes": None, "robots": changes}))
+    world = load_world(path)
+    assert world.map.samefile(tmp_path / "room.yaml")
+    assert world.sites == load_sites(path) == load_world(base).sites != Sites()
+    assert (world.boxes, list(world.robots)) == ((), ["r", "s"])
+    assert (world.robots["r"].start, world.robots["r"].goal) == (Pose2D(1.0, 1.0, 0.0), Pose2D(3.0, 1.0, 0.0))
+    assert [robot.goal_at_s for robot in world.robots.values()] == [2.0, 0.0]
+    path.write_text(yaml.safe_dump({"base": "../test.world.yaml", "robots": {"r": None, "s": changes["s"]}}))
+    assert list(load_world(path).robots) == ["s"]
+
+
+def test_what_a_file_says_of_hitchhiking_holds_for_all_or_for_one(tmp_path: Path) -> None:
+    entry = {**CONTENT["robots"]["r"], "marker": 7}
+    robots = {"a": {**entry, "hitchhiking": {"places": 2, "policy": "arrival"}}, "b": CONTENT["robots"]["r"]}
+    file = write(tmp_path, {**CONTENT, "robots": robots, "hitchhiking": {"mode": "network", "policy": "proximity"}})
+    own = {"mode": "network", "policy": "arrival", "places": 2}
+    common = {"mode": "network", "policy": "proximity"}
+    assert {name: robot.hitchhiking for name, robot in load_world(file).robots.items()} == {"a": own, "b": common}
+    assert load_hitchhiking(file, "a") == {"marker_id": 7, **own}
+    assert load_hitchhiking(file, "b") == load_hitchhiking(file, "nobody") == common
+    assert load_hitchhiking(SHIPPED, "turtlebot") == {"marker_id": 1}
 
 
 @pytest.mark.parametrize("text", ["", "- a\n- b\n", "map: [", "\x00\x01"])

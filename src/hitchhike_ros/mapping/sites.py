@@ -1,4 +1,5 @@
-"""What robots may know of a world file: markers at known places and the hitchhiking points (P17 §3)."""
+"""What robots may know of a world file: markers at known places, the hitchhiking points (P17 §3), and what it says of
+them."""
 
 from __future__ import annotations
 
@@ -32,13 +33,38 @@ class Sites:
         return next((point for point in self.hitchhiking_points if point_in_polygon(x, y, point.area)), None)
 
 
+def read_world(path: Path | str) -> dict[str, Any]:
+    """What a world or scenario file holds, its ``map`` as seen from here.
+
+    It may begin with ``base``, another file whose content it changes: mappings are merged, everything else is replaced,
+    and what is null is gone.
+
+    Raises:
+        WorldFileError: the file, or one that it is based on, is missing, malformed or no mapping.
+    """
+    return _merged(Path(path), ())
+
+
+def load_hitchhiking(path: Path | str, robot: str) -> dict[str, object]:
+    """What a world file says of one robot's parameters of hitchhiking: the marker on its back, what holds for all
+    robots, and what is its own. Nothing is checked but that these are mappings.
+
+    Raises:
+        WorldFileError: as :func:`load_sites`.
+    """
+    content = read_world(path)
+    entry = read_mapping(read_mapping(content, "robots", path), robot, path)
+    own = {} if entry.get("marker") is None else {"marker_id": entry["marker"]}
+    return {**own, **read_mapping(content, "hitchhiking", path), **read_mapping(entry, "hitchhiking", path)}
+
+
 def load_sites(path: Path | str) -> Sites:
     """Markers and hitchhiking points of a world file; whatever else it holds is ignored.
 
     Raises:
         WorldFileError: names the file, the field, its value and what was expected.
     """
-    return parse_sites(read_yaml(path, WorldFileError), path)
+    return parse_sites(read_world(path), path)
 
 
 def parse_sites(content: Mapping[str, Any], path: Path | str) -> Sites:
@@ -77,6 +103,18 @@ def read_list(content: Mapping[str, Any], key: str, cls: type[T], path: Path | s
     return tuple(read_entry(entry, cls, path, f"{key}[{i}]") for i, entry in enumerate(entries))
 
 
+def read_mapping(content: Mapping[str, Any], key: str, path: Path | str) -> dict[str, Any]:
+    """The mapping ``content[key]``, empty where there is none.
+
+    Raises:
+        WorldFileError: as :func:`load_sites`.
+    """
+    value = content.get(key) or {}
+    if not isinstance(value, dict):
+        raise WorldFileError(path, key, value, "a mapping")
+    return value
+
+
 def read_entry(value: object, cls: type[T], path: Path | str, field: str) -> T:
     """``value`` as a checked ``cls`` whose numbers are all finite.
 
@@ -108,3 +146,31 @@ def _numbers(value: object, name: str) -> Iterable[tuple[str, float]]:
     elif is_dataclass(value):
         for f in fields(value):
             yield from _numbers(getattr(value, f.name), f"{name}.{f.name}")
+
+
+def _merged(path: Path, over: tuple[Path, ...]) -> dict[str, Any]:
+    content = read_yaml(path, WorldFileError)
+    base = content.pop("base", None)
+    if isinstance(content.get("map"), str):
+        content["map"] = str(path.parent / content["map"])
+    if base is None:
+        return content
+    if not isinstance(base, str) or not (path.parent / base).is_file():
+        raise WorldFileError(path, "base", base, "the path of another such file")
+    below = path.parent / base
+    if below.resolve() in (p.resolve() for p in (*over, path)):
+        raise WorldFileError(path, "base", base, "a file that is not based on this one")
+    return _over(_merged(below, (*over, path)), content)
+
+
+def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """``above`` laid over ``below``; what is null above is gone."""
+    merged = dict(below)
+    for key, value in above.items():
+        if value is None:
+            merged.pop(key, None)
+        elif isinstance(value, dict) and isinstance(below.get(key), dict):
+            merged[key] = _over(below[key], value)
+        else:
+            merged[key] = value
+    return merged

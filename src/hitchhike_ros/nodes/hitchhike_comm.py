@@ -20,7 +20,7 @@ Action:
 Parameters:
     ~config (path), sections ``hitchhiking`` (protocol.parameters.HitchhikingParameters) and ``robot``
     ~urdf (path): mounts of camera and marker
-    ~world (path): markers and hitchhiking points
+    ~world (path): markers and hitchhiking points; what it says of this robot, and of all, comes before ~config
     ~robot_id (string, default: the namespace)
     ~rate (Hz, 10): steps of the machines
     ~network_in, ~network_out (string, /hhike_msg/network): topics where it hears the others and speaks to them
@@ -48,10 +48,11 @@ from std_msgs.msg import String
 
 from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.datatypes import FloatArray, Pose2D, PoseEstimate
-from hitchhike_ros.errors import MessageError, ParameterError, PlanningError, SensorDataError
+from hitchhike_ros.errors import MessageError, ParameterError, PlanningError, SensorDataError, WorldFileError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.sites import load_sites
+from hitchhike_ros.mapping.sites import load_hitchhiking, load_sites
+from hitchhike_ros.parameters import convert
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
@@ -93,13 +94,16 @@ class HitchhikeComm:
     """Stores what arrives; one timer steps the traveller and carries out what it wants."""
 
     def __init__(self) -> None:
-        params = node_parameters(HitchhikingParameters, "hitchhiking")
+        world = path_parameter("world")
+        robot_id = str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))
+        own = load_hitchhiking(world, robot_id)
+        convert(own, HitchhikingParameters, world, f"robots.{robot_id}.hitchhiking", WorldFileError)
+        params = node_parameters(HitchhikingParameters, "hitchhiking", own)
         limits = node_parameters(RobotLimits, "robot")
         self._planner = GlobalPlanner(node_parameters(GlobalPlannerParameters, "global_planner"), limits)
         urdf = path_parameter("urdf")
         camera = pose_from_matrix(mount(urdf, "camera"))
-        robot_id = str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))
-        sites = load_sites(path_parameter("world"))
+        sites = load_sites(world)
         marker_pose = pose_from_matrix(mount(urdf, "marker"))
         self._traveller = Traveller(
             robot_id, params, sites, self._plan, marker_pose, (camera.x, camera.y), limits.circumscribed_m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import TypeVar
@@ -14,18 +15,18 @@ from hitchhike_ros.parameters import load_parameters
 T = TypeVar("T")
 
 
-def node_parameters(cls: type[T], section: str) -> T:
-    """Checked parameters of one component.
+def node_parameters(cls: type[T], section: str, changes: Mapping[str, object] | None = None) -> T:
+    """Checked parameters of one component; ``changes`` come after the file and before private parameters.
 
     Raises:
         ParameterError: names the file or the private parameter, its value and what was expected.
     """
-    overrides = {
+    private = {
         f.name: rospy.get_param(f"~{f.name}")
         for f in fields(cls)  # type: ignore[arg-type]
         if rospy.has_param(f"~{f.name}")
     }
-    return load_parameters(cls, section, rospy.get_param("~config", "") or None, overrides)
+    return load_parameters(cls, section, rospy.get_param("~config", "") or None, {**(changes or {}), **private})
 
 
 def path_parameter(name: str) -> Path:

@@ -113,10 +113,9 @@ class ComposedRobot:
         self._follow = FollowLaw(load(FollowParameters, "follow"), self.limits, camera.x)
         self._guard = Guard(self.limits, self._T_base_laser)
         # Robots of one model share its file, but not the marker on the back.
-        own = {} if entry.marker is None else {"marker_id": entry.marker}
-        params = load_parameters(
-            HitchhikingParameters, "hitchhiking", config, {**own, **changes.get("hitchhiking", {})}
-        )
+        own: dict[str, object] = {} if entry.marker is None else {"marker_id": entry.marker}
+        own = {**own, **entry.hitchhiking, **changes.get("hitchhiking", {})}
+        params = load_parameters(HitchhikingParameters, "hitchhiking", config, own)
         self.traveller = Traveller(
             self.name,
             params,
@@ -311,6 +310,8 @@ class ComposedRide:
     """By robot."""
     faults: list[Fault] = field(default_factory=list)
     """What goes wrong; more may be added under way."""
+    goals: dict[str, float] = field(default_factory=dict)
+    """When those robots get their goals that have none yet."""
 
     def __post_init__(self) -> None:
         for name, entry in self.world.file.robots.items():
@@ -326,13 +327,14 @@ class ComposedRide:
             self.robots[name] = robot
 
     def start(self, estimates: dict[str, PoseEstimate]) -> None:
-        """Tell every robot where it is and where it is wanted."""
+        """Tell every robot where it is and, when it is time, where it is wanted."""
         for name, robot in self.robots.items():
             robot.sense_odometry(self.world.robots[name].odometry())
             robot.start(replace(estimates[name], stamp=self.world.now))
-            goal = self.world.file.robots[name].goal
-            if goal is not None:
-                robot.tick(self.world.now, self._broadcast, GoalGiven(goal))
+            entry = self.world.file.robots[name]
+            if entry.goal is not None:
+                self.goals[name] = self.world.now + entry.goal_at_s
+        self._give_goals()
 
     def step(self) -> None:
         """One frame: physics, odometry, scans, images, protocol."""
@@ -344,6 +346,7 @@ class ComposedRide:
                 robot.sense_odometry(robot.body.odometry())
                 robot.drive(self.world.now)
         now = self.world.now
+        self._give_goals()
         for robot in self.robots.values():
             if self._fault(robot, "camera_silent") is None:
                 robot.sense_image(now, self._fault(robot, "camera_covered") is not None)
@@ -366,9 +369,17 @@ class ComposedRide:
         """Step until every robot has ended its errand; False when ``limit_s`` of simulated time did not suffice."""
         while self.world.now < limit_s:
             self.step()
-            if all(robot.status.state == "idle" for robot in self.robots.values()):
+            if not self.goals and all(robot.status.state == "idle" for robot in self.robots.values()):
                 return True
         return False
+
+    def _give_goals(self) -> None:
+        """To those robots whose time has come."""
+        for name in [name for name, at in self.goals.items() if at <= self.world.now]:
+            del self.goals[name]
+            goal = self.world.file.robots[name].goal
+            assert goal is not None
+            self.robots[name].tick(self.world.now, self._broadcast, GoalGiven(goal))
 
     def _fault(self, robot: ComposedRobot, kind: FaultKind) -> Fault | None:
         return next(

@@ -1,6 +1,6 @@
 """Scenario files of the grid simulator: a map, places, a network, and robots that are named or drawn by a seed.
 
-A file may begin with ``base``, another file whose content it changes: mappings are merged, everything else is replaced.
+A file may begin with ``base``, as world files may.
 """
 
 from __future__ import annotations
@@ -18,8 +18,16 @@ import numpy as np
 from hitchhike_ros.datatypes import NonNegative, Obstacle, Pose2D, Positive, UnitInterval
 from hitchhike_ros.errors import WorldFileError
 from hitchhike_ros.mapping.map_file import load_map
-from hitchhike_ros.mapping.sites import Sites, parse_sites, read_entry, read_list, require_unique
-from hitchhike_ros.parameters import convert, read_yaml
+from hitchhike_ros.mapping.sites import (
+    Sites,
+    parse_sites,
+    read_entry,
+    read_list,
+    read_mapping,
+    read_world,
+    require_unique,
+)
+from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.grid_world import Errand, GridWorld, GridWorldParameters
 from hitchhike_ros.simulation.network_model import NetworkModel, NetworkParameters, check_network
@@ -86,6 +94,12 @@ class Scenario:
         """The same with other luck: of the network, of noise and of the fleet."""
         return replace(self, network=replace(self.network, seed=seed), world=replace(self.world, seed=seed))
 
+    def sized(self, robots: int) -> Scenario:
+        """The same with a fleet of so many."""
+        if self.fleet is None:
+            raise WorldFileError(self.path, "fleet", None, "a fleet")
+        return replace(self, fleet=replace(self.fleet, robots=robots))
+
     def changed(
         self,
         network: Mapping[str, Any] | None = None,
@@ -114,7 +128,7 @@ def load_scenario(path: Path | str) -> Scenario:
         WorldFileError: names the file, the field, its value and what was expected.
     """
     path = Path(path)
-    content = _merged(path, ())
+    content = read_world(path)
     own = {f.name for f in fields(Scenario)} - {"path", "sites"}
     known = own | {"markers", "hitchhiking_points"}
     for key in content:
@@ -129,9 +143,11 @@ def load_scenario(path: Path | str) -> Scenario:
         raise WorldFileError(path, "map", scalars.map, "the path of a map_server YAML file")
     boxes = read_list(content, "boxes", Obstacle, path)
     require_unique((box.id for box in boxes), "boxes", "id", path)
-    common = _mapping(content, "hitchhiking", path)
+    common = read_mapping(content, "hitchhiking", path)
+    convert(common, HitchhikingParameters, path, "hitchhiking", WorldFileError)
     robots = {
-        str(name): _robot(entry, path, f"robots.{name}") for name, entry in _mapping(content, "robots", path).items()
+        str(name): _robot(entry, path, f"robots.{name}")
+        for name, entry in read_mapping(content, "robots", path).items()
     }
     fleet = read_entry(content["fleet"], Fleet, path, "fleet") if content.get("fleet") is not None else None
     if not robots and fleet is None:
@@ -141,13 +157,15 @@ def load_scenario(path: Path | str) -> Scenario:
         map=Path(scalars.map),
         sites=parse_sites(content, path),
         boxes=boxes,
-        network=check_network(convert(_mapping(content, "network", path), NetworkParameters, path, "network"), path),
-        world=read_entry(_mapping(content, "world", path), GridWorldParameters, path, "world"),
+        network=check_network(
+            convert(read_mapping(content, "network", path), NetworkParameters, path, "network"), path
+        ),
+        world=read_entry(read_mapping(content, "world", path), GridWorldParameters, path, "world"),
         hitchhiking=common,
         robots=robots,
         fleet=fleet,
         duration_s=scalars.duration_s,
-        settings=_mapping(content, "settings", path),
+        settings=read_mapping(content, "settings", path),
     )
     markers: dict[int, str] = {}
     for i, (name, robot) in enumerate(robots.items()):
@@ -238,38 +256,3 @@ def _robot(entry: object, path: Path, name: str) -> ScenarioRobot:
     robot = read_entry(entry, ScenarioRobot, path, name)
     convert(robot.hitchhiking, HitchhikingParameters, path, f"{name}.hitchhiking", WorldFileError)
     return robot
-
-
-def _mapping(content: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
-    value = content.get(key) or {}
-    if not isinstance(value, dict):
-        raise WorldFileError(path, key, value, "a mapping")
-    return value
-
-
-def _merged(path: Path, over: tuple[Path, ...]) -> dict[str, Any]:
-    content = read_yaml(path, WorldFileError)
-    base = content.pop("base", None)
-    if isinstance(content.get("map"), str):
-        content["map"] = str(path.parent / content["map"])
-    if base is None:
-        return content
-    if not isinstance(base, str) or not (path.parent / base).is_file():
-        raise WorldFileError(path, "base", base, "the path of another scenario file")
-    below = path.parent / base
-    if below.resolve() in (p.resolve() for p in (*over, path)):
-        raise WorldFileError(path, "base", base, "a scenario file that is not based on this one")
-    return _over(_merged(below, (*over, path)), content)
-
-
-def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """``above`` laid over ``below``; what is null above is gone."""
-    merged = dict(below)
-    for key, value in above.items():
-        if value is None:
-            merged.pop(key, None)
-        elif isinstance(value, dict) and isinstance(below.get(key), dict):
-            merged[key] = _over(below[key], value)
-        else:
-            merged[key] = value
-    return merged

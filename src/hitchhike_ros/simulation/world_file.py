@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-from hitchhike_ros.datatypes import Obstacle, Pose2D, Positive
+from hitchhike_ros.datatypes import NonNegative, Obstacle, Pose2D, Positive
 from hitchhike_ros.errors import WorldFileError
-from hitchhike_ros.mapping.sites import Sites, parse_sites, read_entry, read_list, require_unique
-from hitchhike_ros.parameters import convert, read_yaml
+from hitchhike_ros.mapping.sites import (
+    Sites,
+    parse_sites,
+    read_entry,
+    read_list,
+    read_mapping,
+    read_world,
+    require_unique,
+)
+from hitchhike_ros.parameters import convert
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.people import Person
 
 
@@ -25,12 +35,18 @@ class Box(Obstacle):
 @dataclass(frozen=True)
 class RobotEntry:
     """A robot: its model (``urdf/<model>.urdf``, ``config/<model>.yaml``), where it starts, where a ride takes it, and
-    the id of the marker on its back (None: the plate stays blank)."""
+    the id of the marker on its back (None: the plate stays blank).
+
+    The goal is given ``goal_at_s`` after all robots know where they are. ``hitchhiking`` is what differs from the
+    model's parameters.
+    """
 
     model: str
     start: Pose2D
     goal: Pose2D | None = None
     marker: int | None = None
+    goal_at_s: NonNegative = 0.0
+    hitchhiking: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -53,14 +69,17 @@ class _Scalars:
 
 
 def load_world(path: Path | str) -> WorldFile:
-    """A world file, checked. A relative ``map`` starts at the world file's folder.
+    """A world file, checked; it may change another one (:func:`hitchhike_ros.mapping.sites.read_world`). A relative
+    ``map`` starts at the folder of the file that names it, and ``hitchhiking`` holds for all robots.
 
     Raises:
         WorldFileError: names the file, the field, its value and what was expected.
     """
     path = Path(path)
-    content = read_yaml(path, WorldFileError)
-    known = {f.name for f in fields(_Scalars)} | {"boxes", "markers", "hitchhiking_points", "people", "robots"}
+    content = read_world(path)
+    known = {f.name for f in fields(_Scalars)} | {
+        *("boxes", "markers", "hitchhiking_points", "people", "hitchhiking", "robots"),
+    }
     for key in content:
         if key not in known:
             raise WorldFileError(path, str(key), content[key], f"one of the fields {', '.join(sorted(known))}")
@@ -69,14 +88,14 @@ def load_world(path: Path | str) -> WorldFile:
     scalars = convert(
         {f.name: content[f.name] for f in fields(_Scalars) if f.name in content}, _Scalars, path, error=WorldFileError
     )
-    map_file = path.parent / scalars.map
+    map_file = Path(scalars.map)
     if not map_file.is_file():
         raise WorldFileError(path, "map", scalars.map, f"the path of a map_server YAML file; {map_file} is not one")
     boxes = read_list(content, "boxes", Box, path)
     require_unique((box.id for box in boxes), "boxes", "id", path)
     for i, box in enumerate(boxes):
         check_box(box, path, f"boxes[{i}]")
-    robots, people = _robots(content.get("robots"), path), read_list(content, "people", Person, path)
+    robots, people = _robots(content, path), read_list(content, "people", Person, path)
     check_people(people, {*robots, *(box.id for box in boxes)}, path)
     return WorldFile(path, map_file, robots, scalars.wall_height_m, boxes, parse_sites(content, path), people)
 
@@ -104,12 +123,16 @@ def distance_to_box(x: float, y: float, box: Obstacle) -> float:
     return math.hypot(dx, dy)
 
 
-def _robots(value: object, path: Path) -> dict[str, RobotEntry]:
-    if not isinstance(value, dict) or not value:
-        raise WorldFileError(path, "robots", value, "a mapping from robot names to model and start")
+def _robots(content: Mapping[str, Any], path: Path) -> dict[str, RobotEntry]:
+    entries, common = content.get("robots"), read_mapping(content, "hitchhiking", path)
+    if not isinstance(entries, dict) or not entries:
+        raise WorldFileError(path, "robots", entries, "a mapping from robot names to model and start")
+    convert(common, HitchhikingParameters, path, "hitchhiking", WorldFileError)
     robots = {}
-    for name, entry in value.items():
+    for name, entry in entries.items():
         if not isinstance(name, str) or not name.isidentifier():
             raise WorldFileError(path, "robots", name, "a robot name of letters, digits and _ (it is a ROS namespace)")
-        robots[name] = read_entry(entry, RobotEntry, path, f"robots.{name}")
+        robot = read_entry(entry, RobotEntry, path, f"robots.{name}")
+        convert(robot.hitchhiking, HitchhikingParameters, path, f"robots.{name}.hitchhiking", WorldFileError)
+        robots[name] = replace(robot, hitchhiking={**common, **robot.hitchhiking})
     return robots
