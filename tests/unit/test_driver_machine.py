@@ -301,6 +301,25 @@ def test_it_stops_for_a_hitchhiker_that_falls_behind_and_goes_on_when_it_is_back
     assert (bench.machine.state, bench.machine.goal) == (S.DRIVING, goal)
 
 
+def test_it_goes_on_when_its_rider_is_near_again() -> None:
+    """P17 §4: until it has caught up."""
+    bench = driver_in(S.WAITING_FOR_RIDER)
+    bench.hear(Ack, gap_m=1.5)
+    bench.wait()
+    assert bench.machine.state is S.WAITING_FOR_RIDER
+    bench.hear(Ack, gap_m=1.0)
+    bench.wait()
+    assert bench.machine.state is S.DRIVING
+
+
+def test_it_does_not_wait_for_ever_for_one_that_follows_from_afar() -> None:
+    bench = driver_in(S.WAITING_FOR_RIDER)
+    for _ in range(round(bench.machine.params.lost_timeout_s) + 1):
+        bench.hear(Ack, gap_m=1.5)
+        bench.wait(1.0)
+    assert (bench.machine.state, bench.machine.reason) == (S.NAVIGATING, d.RIDER_LOST)
+
+
 def test_it_keeps_talking_while_it_waits() -> None:
     bench = driver_in(S.WAITING_FOR_RIDER)
     bench.wait(5.0)

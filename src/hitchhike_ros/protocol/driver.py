@@ -81,6 +81,8 @@ _AHEAD_M = 0.5
 _CAMERA_M = 0.2
 # Where exactly a ride ends does not matter, but a driver that turned for the last centimetres would lose its rider.
 _RIDE_TOLERANCE_M = 0.25
+# A rider that follows has caught up when it is no farther behind than this beyond the gap (chosen).
+_CAUGHT_UP_M = 0.3
 # Steps of the driver's own pose that count as metres ridden: noise of a standing robot does not.
 _ODOMETER_STEP_M = 0.2
 
@@ -428,7 +430,7 @@ class DriverMachine(Machine[DriverState]):
     def _wait_for_riders(self, _tick: Tick) -> None:
         self._count_metres()
         self._inform_all()
-        if not self._missing(self._entered):
+        if not self._behind():
             self._go(S.DRIVING)
 
     def _repeat_handover(self, _tick: Tick | None = None) -> None:
@@ -486,7 +488,7 @@ class DriverMachine(Machine[DriverState]):
             self._go(S.ALIGNED)
 
     def _rider_lost(self) -> None:
-        for rider in self._missing(self._entered):
+        for rider in self._behind():
             self._finish(rider, RIDER_LOST, tell=True)
         self._close_up(RIDER_LOST)
 
@@ -659,6 +661,11 @@ class DriverMachine(Machine[DriverState]):
     def _missing(self, since: float) -> tuple[Rider, ...]:
         """Those that do not follow, or have not said so since then."""
         return tuple(r for r in self._convoy.coupled if not r.following or r.acked_at <= since)
+
+    def _behind(self) -> tuple[Rider, ...]:
+        """Those for whom the driver waits: missing, or not caught up (P17 §4)."""
+        missing, most = self._missing(self._entered), self.params.gap_m + _CAUGHT_UP_M
+        return tuple(r for r in self._convoy.coupled if r in missing or (r.gap_m or 0.0) > most)
 
     def _drop_silent(self) -> None:
         """A hitchhiker that is to come says now and then when; one that does not is gone."""
