@@ -1,8 +1,8 @@
 """Benchmark of fleets in one grid world: what they cost to simulate, how that grows, and when hitchhiking pays.
 
 All sizes drive the trips of ``maps/fleet.scenario.yaml`` in the same building, so that more robots are also nearer to
-each other; a trip is compared with the same one of the same robot where riding is forbidden. Times are processor time of
-the one thread that simulates. Riding *pays* where modules (P17 Table 3: PP, OBS, LZN, MAP) are off for longer than
+each other; a trip is compared with the same one of the same robot where riding is forbidden. Times are the processor's,
+of the one thread that simulates. Riding *pays* where modules (P17 Table 3: PP, OBS, LZN, MAP) are off for longer than
 everybody, the drivers included, is late.
 """
 
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure as Picture
 
 from hitchhike_ros.experiments.benchmark import Options, Progress
 from hitchhike_ros.experiments.figures import Figure
-from hitchhike_ros.experiments.fleet_runs import FleetRun, FleetTrip, of_size, run_fleet
+from hitchhike_ros.experiments.fleet_runs import FleetRun, FleetTrip, run_fleet
 from hitchhike_ros.experiments.parallel import write_results
 from hitchhike_ros.experiments.terminal import Cell, table
 from hitchhike_ros.simulation.grid_drawing import Recorder, animate, draw_state
@@ -49,12 +49,12 @@ def run(options: Options, progress: Progress) -> Sequence[Figure]:
         def told(done: float, of: float, size: int = size) -> None:
             progress(f"fleet of {size} (s)", int(done), int(of))
 
-        runs.append(run_fleet(of_size(scenario, size), told))
+        runs.append(run_fleet(scenario.sized(size), told))
     write_results(options.output / "fleet_trips.json", {str(r.robots): r.trips for r in runs})
     (options.output / "fleet.txt").write_text(_tables(runs) + "\n", encoding="utf-8")
     _draw(options.output / "fleet.png", runs)
     if not options.quick:
-        _show(options.output, of_size(scenario, _PICTURE_ROBOTS), progress)
+        _show(options.output, scenario.sized(_PICTURE_ROBOTS), progress)
     return _figures(runs)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,12 +72,6 @@ class FleetRun:
     def delay_s(self) -> float:
         """Mean of all trips, of riders, drivers and those that met nobody."""
         return float(np.mean([trip.delay_s for trip in self.trips])) if self.trips else 0.0
-
-
-def of_size(scenario: Scenario, robots: int) -> Scenario:
-    """The scenario's fleet with so many robots."""
-    assert scenario.fleet is not None
-    return replace(scenario, fleet=replace(scenario.fleet, robots=robots))
 
 
 def run_fleet(scenario: Scenario, told: Told) -> FleetRun:
