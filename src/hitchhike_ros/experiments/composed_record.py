@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hitchhike_ros.experiments.ride_record import Contact, RideRecord, RobotRecord, TimedPose
+from hitchhike_ros.experiments.ride_record import Contact, RideRecord, RobotRecord, TimedEstimate, TimedPose
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.robot_model import fixed_transforms
 from hitchhike_ros.simulation.composed import ComposedRide
@@ -12,7 +12,7 @@ from hitchhike_ros.simulation.robot import robot_files
 
 
 class ComposedRecorder:
-    """Steps a ride and keeps the truth and every change of a status."""
+    """Steps a ride and keeps the truth, every change of a status, what was handed over and what was earned."""
 
     def __init__(self, ride: ComposedRide, seed: int) -> None:
         self._ride = ride
@@ -34,5 +34,8 @@ class ComposedRecorder:
                 pose, _ = world.robots[name].ground_truth()
                 record.robots[name].truth.append(TimedPose(now, pose.x, pose.y, pose.theta))
                 record.robots[name].add_status(robot.status)
+                record.robots[name].awards = list(robot.awards)
+                record.robots[name].obstacles = robot.mapper.obstacles
+                record.robots[name].initial_poses = [TimedEstimate.of(estimate) for estimate in robot.taken]
             record.contacts = [Contact(c.stamp, c.robot, c.other, c.x, c.y) for c in world.contacts()]
             yield now

@@ -20,7 +20,14 @@ import numpy as np
 
 from hitchhike_ros.datatypes import FloatArray, Obstacle, Pose2D
 from hitchhike_ros.experiments.figures import Figure
-from hitchhike_ros.experiments.ride_record import ClockSample, CpuSample, RideRecord, RobotRecord, TimedPose
+from hitchhike_ros.experiments.ride_record import (
+    ClockSample,
+    CpuSample,
+    RideRecord,
+    RobotRecord,
+    TimedEstimate,
+    TimedPose,
+)
 from hitchhike_ros.geometry import compose, distance, path_length, wrap_angle
 from hitchhike_ros.protocol.status import ModuleSwitches, Status
 
@@ -211,7 +218,7 @@ def distance_figures(record: RideRecord, ride: Ride | None) -> list[Figure]:
     if ride is not None and ride.driver is not None:
         driver = record.robots[ride.driver]
         if window is not None:
-            ridden = path_length(_thinned(_cut(_track(driver.truth), window)[:, 1:3]))
+            ridden = metres_driven(driver, window)
         if driver.awards:
             points = driver.awards[-1].points
     figures = [
@@ -251,17 +258,12 @@ def following_figures(record: RideRecord, ride: Ride | None) -> list[Figure]:
 
 def handover_figures(record: RideRecord, ride: Ride | None) -> list[Figure]:
     """The pose that the hitchhiker took over against where it stood, also in units of its own covariance."""
-    place, heading, sigmas = None, None, None
-    taken = None
+    place, heading, sigmas, taken = None, None, None, None
     if ride is not None and ride.riding_at is not None:
         since = ride.riding_at
         taken = next((p for p in record.robots[ride.hitchhiker].initial_poses if p.stamp > since), None)
-    if taken is not None and ride is not None and record.robots[ride.hitchhiker].truth:
-        truth = poses_at(record.robots[ride.hitchhiker].truth, np.array([taken.stamp]))[0]
-        error = np.array([taken.x, taken.y, taken.theta]) - truth
-        error[2] = wrap_angle(error[2])
-        place, heading = float(np.hypot(error[0], error[1])), float(np.degrees(abs(error[2])))
-        sigmas = mahalanobis(error, np.array(taken.sigma))
+    if taken is not None and ride is not None:
+        place, heading, sigmas = handover_error(record.robots[ride.hitchhiker], taken)
     return [
         Figure("handover_position_error", place, "m", MAX_HANDOVER_M),
         Figure("handover_heading_error", heading, "deg", MAX_HANDOVER_DEG),
@@ -313,6 +315,21 @@ def gap_errors(driver: RobotRecord, hitchhiker: RobotRecord, window: tuple[float
     camera = _mounted(track[:, 1:], hitchhiker.camera)
     marker = _mounted(poses_at(driver.truth, track[:, 0]), driver.marker)
     return np.linalg.norm(marker - camera, axis=1) - order
+
+
+def metres_driven(robot: RobotRecord, window: tuple[float, float]) -> float:
+    """How far the robot truly went."""
+    return path_length(_thinned(_cut(_track(robot.truth), window)[:, 1:3]))
+
+
+def handover_error(robot: RobotRecord, taken: TimedEstimate) -> tuple[float | None, float | None, float | None]:
+    """A pose that the robot took over against where it was: m, degrees, and in units of its own covariance."""
+    if not robot.truth:
+        return None, None, None
+    error = np.array([taken.x, taken.y, taken.theta]) - poses_at(robot.truth, np.array([taken.stamp]))[0]
+    error[2] = wrap_angle(error[2])
+    place, heading = float(np.hypot(error[0], error[1])), float(np.degrees(abs(error[2])))
+    return place, heading, mahalanobis(error, np.array(taken.sigma))
 
 
 def gap_now(record: RideRecord, ride: Ride) -> float | None:

@@ -161,4 +161,5 @@ def load_record(path: Path) -> RideRecord:
 def _essence(status: Status) -> tuple[object, ...]:
     goal = status.goal.id if status.goal is not None else None
     ride = status.ride.ride_id if status.ride is not None else None
-    return status.role, status.state, status.reason, status.modules, goal, ride
+    followed = status.servo.marker_id if status.servo is not None else None
+    return status.role, status.state, status.reason, status.modules, goal, ride, followed
