@@ -22,7 +22,9 @@ from hitchhike_ros.datatypes import HitchhikingPoint, Obstacle, Pose2D
 from hitchhike_ros.geometry import compose, distance
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.protocol.announcement import announced_driver
 from hitchhike_ros.protocol.machine import Send
+from hitchhike_ros.protocol.matching import can_drive
 from hitchhike_ros.protocol.messages import Accept, Beacon, Lock, Message, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.grid_world import Errand, GridRobot, GridWorld, GridWorldParameters
@@ -153,6 +155,17 @@ def test_the_best_driver_is_chosen_by_policy_and_the_others_are_told(policy: str
     assert cancelled == {"near", "middle", "far"} - {chosen}
     accepted = {m.robot_id for _, _, m in fleet.heard if isinstance(m, Accept)}
     assert accepted == {"near", "middle", "far"}
+
+
+def test_drivers_that_have_set_out_at_the_same_moment_are_heard_all() -> None:
+    """Their beacons have not offered a place yet; the nearest is the first to answer."""
+    fleet = Fleet(delay_s=0.1, jitter_s=0.3)
+    for name, profile, y in (("near", 60.0, 40.0), ("middle", 70.0, 48.0), ("far", 90.0, 56.0)):
+        fleet.driver(name, Pose2D(10.0, y, SOUTH), FAR_DRIVER[1], profile=profile, at_s=3.0)
+    rider = fleet.add("rider", WEST_POINT, EAST_END)
+    fleet.run(lambda: rider.status.state == "awaiting_aligned")
+    assert rider.status.ride is not None
+    assert rider.status.ride.driver == "far"
 
 
 @pytest.mark.parametrize(
@@ -399,3 +412,18 @@ def test_a_driver_denies_a_lock_whose_meeting_is_not_on_its_way() -> None:
         assert getattr(denial, "reason", None) == reason, change
     assert driver.traveller.driver.refused == 6
     assert answer(Lock(**common, **places)).type == "ack"
+
+
+@pytest.mark.parametrize(
+    ("goal", "able"),
+    [
+        (Pose2D(60.0, 30.0), True),
+        (Pose2D(45.0, 74.0, NORTH), True),  # round a corner, P18 Experiment 3: 28.8 m and then 37.4 m
+        (Pose2D(8.0, 30.0), False),
+        (Pose2D(14.0, 66.0, NORTH), False),
+    ],
+)
+def test_who_can_drive_one_towards_its_goal(goal: Pose2D, able: bool) -> None:
+    path = ((10.0, 30.0, 0.0), (42.0, 30.0, 60.0))
+    driver = announced_driver("driver", path, 0.0, 1, 0.6)
+    assert can_drive(driver, WEST_POINT, goal, 0.0, SITES, HitchhikingParameters(mode="network")) is able

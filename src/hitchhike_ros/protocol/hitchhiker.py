@@ -78,6 +78,8 @@ _TOLD_STEP_M, _TOLD_M = 0.2, 4.0
 _CATCH_UP_M, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD = 0.4, 0.25, 0.25
 # A hitchhiker within this of the heading of its hitchhiking point is in line; it turns where it stands (chosen).
 _IN_LINE_RAD, _IN_LINE_M = 0.06, 0.25
+# So long it stands in the gap before it is coupled: three images (chosen).
+_SETTLED_S = 0.3
 # A marker that is seen nearer than this beyond the gap can be coupled with, a farther one may be behind a corner.
 _COUPLING_REACH_M = 1.2
 
@@ -614,12 +616,16 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     # In a network.
 
     def _heard_enough(self) -> bool:
-        """Whether all known drivers have answered, or the time for offers is over."""
-        if self._now - self._requested_at >= self.window_s:
+        """Whether all known drivers have answered, or the time for offers is over.
+
+        Who has got its goal a moment ago offers a place in its next beacon only: until that, all are asked.
+        """
+        waited, ask = self._now - self._requested_at, self._neighbours.drivers
+        if waited >= self.window_s:
             return True
-        return (
-            bool(self._answered) and self._neighbours.drivers(self._now, self.params.robot_timeout_s) <= self._answered
-        )
+        if waited < self.params.beacon_period_s:
+            ask = self._neighbours.known
+        return bool(self._answered) and ask(self._now, self.params.robot_timeout_s) <= self._answered
 
     def _decide(self, here: Pose2D) -> None:
         """Take the best offer; go at once where none is good enough."""
@@ -714,19 +720,19 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         return self._now - self._lost_way_at > self.params.planner_patience_s
 
     def _settled_gap(self) -> float | None:
-        """The gap to the driver, once it stands in it for a while."""
-        gap = self.gap_m()
+        """The gap to the driver, once images over a while show that it stands in it."""
+        gap, seen = self.gap_m(), self._observation()
         settled = (
             gap is not None
             and abs(gap - self.params.gap_m) <= self.params.gap_tolerance_m
             and abs(self.situation.speed_mps) <= self.params.standstill_mps
         )
-        if not settled:
+        if not settled or seen is None:
             self._in_gap_since = None
             return None
         if self._in_gap_since is None:
-            self._in_gap_since = self._now
-        return gap if self._now - self._in_gap_since >= self.params.repeat_period_s else None
+            self._in_gap_since = seen.stamp
+        return gap if seen.stamp - self._in_gap_since >= _SETTLED_S else None
 
     def _start_riding(self, gap: float, reason: str) -> None:
         self._seen_at, self.rode = self._now, True

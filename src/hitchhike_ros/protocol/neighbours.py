@@ -54,6 +54,14 @@ class Neighbours:
             if known.robot is not None and now - known.at <= (waiting_s if name == waiting else timeout_s)
         )
 
+    def known(self, now: float, timeout_s: float) -> set[str]:
+        """All whose last beacon came in the last ``timeout_s``."""
+        return {
+            name
+            for name, known in self._heard.items()
+            if known.beacon is not None and now - known.beacon_at <= timeout_s
+        }
+
     def drivers(self, now: float, timeout_s: float) -> set[str]:
         """Those whose last beacon of the last ``timeout_s`` offers a place."""
         return {
