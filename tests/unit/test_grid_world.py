@@ -34,10 +34,12 @@ def hall() -> OccupancyGrid:
     return OccupancyGrid(data.astype(np.int8), 0.25)
 
 
-def world(boxes: tuple[Obstacle, ...] = (BOX,), seed: int = 0, **network: Any) -> GridWorld:
+def world(boxes: tuple[Obstacle, ...] = (BOX,), seed: int = 0, json_messages: bool = True, **network: Any) -> GridWorld:
     point = HitchhikingPoint("west", ((4.0, 7.0), (12.0, 7.0), (12.0, 13.0), (4.0, 13.0)), Pose2D(8.0, 10.0), WAITING)
     radio = NetworkModel(NetworkParameters(**{"delay_s": 0.05, "seed": seed, **network}))
-    return GridWorld(hall(), Sites((), (point,)), radio, GridWorldParameters(seed=seed), boxes)
+    return GridWorld(
+        hall(), Sites((), (point,)), radio, GridWorldParameters(seed=seed, json_messages=json_messages), boxes
+    )
 
 
 def parameters(marker: int, **params: Any) -> HitchhikingParameters:
@@ -134,6 +136,15 @@ def test_the_same_seed_is_the_same_run() -> None:
 
     assert run(1) == run(1)
     assert run(1) != run(2)
+
+
+def test_messages_as_text_and_as_objects_make_the_same_run() -> None:
+    def history(text: bool) -> list[tuple[float, str, str]]:
+        w = pair(json_messages=text)
+        w.run(300.0, w.idle)
+        return w.robots["rider"].history + w.robots["driver"].history
+
+    assert history(True) == history(False)
 
 
 def test_a_robot_that_crashes_says_nothing_and_goes_on_after_its_restart() -> None:

@@ -32,6 +32,8 @@ Known = tuple[str, ...]
 
 # A robot that finds itself nearer to an obstacle than it may drive looks so far for a way out (chosen).
 _WAY_OUT_M = 1.5
+# So many distances are remembered; then they are all forgotten (chosen).
+_DISTANCES = 200_000
 # So many searches are kept, at 3 MB each on the map of P18 §8.1.
 _SEARCHES = 160
 
@@ -55,6 +57,7 @@ class GridPaths:
         self._solid = solid
         self._free_m = distance_to(solid, grid.resolution)
         self._costs: dict[Known, CostArray] = {}
+        self._metres: dict[tuple[Known, Cell, Cell], float] = {}
         self._searches: OrderedDict[tuple[Known, Cell], DStarLite] = OrderedDict()
         self._origin, self._resolution = (grid.origin.x, grid.origin.y), grid.resolution
         if grid.origin.theta:
@@ -105,13 +108,26 @@ class GridPaths:
         path[1:-1] = (cells[:-1, ::-1] + 0.5) * self._resolution + self._origin
         return path
 
-    def metres(self, start: Point, goal: Point) -> float:
-        """Length of the path for who knows no box; infinite where there is none."""
-        try:
-            path = self.plan(start, goal)
-        except PlanningError:
-            return math.inf
-        return float(np.hypot(*np.diff(path, axis=0).T).sum())
+    def metres(self, start: Point, goal: Point, known: Known = ()) -> float:
+        """Length of the path, to a cell; infinite where there is none. Asked again it costs nothing."""
+        key = known, self.cell(*start), self.cell(*goal)
+        metres = self._metres.get(key)
+        if metres is None:
+            try:
+                metres = float(np.hypot(*np.diff(self.plan(start, goal, known), axis=0).T).sum())
+            except PlanningError:
+                metres = math.inf
+            if len(self._metres) >= _DISTANCES:
+                self._metres.clear()
+            self._metres[key] = metres
+        return metres
+
+    def all_metres(self, sources: FloatArray, targets: FloatArray, known: Known = ()) -> FloatArray:
+        """As :meth:`metres`, (A, B) from each of the sources (A, 2) to each of the targets (B, 2)."""
+        ends = [(x, y) for x, y in targets.tolist()]
+        return np.array([[self.metres((x, y), end, known) for end in ends] for x, y in sources.tolist()]).reshape(
+            len(sources), len(targets)
+        )
 
     def free(self, at: Point) -> bool:
         """Whether a robot may be there, for all that is in the map."""

@@ -228,6 +228,9 @@ class GridWorld:
         self._by_marker: dict[int, GridRobot] = {}
         self._list: list[GridRobot] = []
         self._radio: tuple[float, np.ndarray, cKDTree] | None = None
+        n = self.network.params
+        # Whoever is in range hears everything after the same time.
+        self._plain = n.loss == n.duplication == n.reordering == n.jitter_s == 0.0 and not n.partitions
         p = self.params
         self._covariance = np.diag(np.square([p.position_sigma_m, p.position_sigma_m, p.heading_sigma_rad]))
         self._plate_covariance = np.diag(np.square([p.plate_sigma_m, p.plate_sigma_m, p.plate_sigma_rad]))
@@ -405,7 +408,9 @@ class GridWorld:
     def _arrive(self, what: tuple[Message | str, list[GridRobot]]) -> None:
         """A message comes to all who hear it at the same moment."""
         sent, robots = what
-        watched = bool(self.observers or self.params.trace_events)
+        if isinstance(sent, Beacon):
+            self._arrive_beacon(sent, robots)
+            return
         for robot in robots:
             if not robot.alive:
                 continue
@@ -417,15 +422,20 @@ class GridWorld:
                 continue
             self.deliveries += 1
             robot.received += 1
-            if isinstance(message, Beacon):  # by far the most frequent: it changes nothing but what is remembered
-                effects = robot.traveller.step(message, self.now + robot.clock_offset_s)
-                assert not effects
-                if watched:
-                    self._tell(robot, message, effects)
-                continue
             if isinstance(message, Request | Lock) and not robot.engaged and robot.trip is not None:
                 self._tick(robot)  # what it knew of itself may be old
             self._step(robot, message)
+
+    def _arrive_beacon(self, beacon: Beacon, robots: Sequence[GridRobot]) -> None:
+        """By far the most frequent: it changes nothing but what is remembered."""
+        now, watched = self.now, bool(self.observers or self.params.trace_events)
+        for robot in robots:
+            if robot.alive and robot.inbox.receive(beacon) is not None:
+                effects = robot.traveller.step(beacon, now + robot.clock_offset_s)
+                robot.received += 1
+                self.deliveries += 1
+                if watched:
+                    self._tell(robot, beacon, effects)
 
     def _step(self, robot: GridRobot, event: object) -> None:
         """The traveller takes the event; its modules do what it wants from then on."""
@@ -482,36 +492,38 @@ class GridWorld:
             assert isinstance(effect, TakePose)  # localization is exact anyway
 
     def _transmit(self, sender: GridRobot, message: Message) -> None:
+        """On the air: to all in range, or to the one that does not drop it."""
         self.messages += 1
-        now, deliveries, name = self.now, self.network.deliveries, sender.name
+        now, name = self.now, sender.name
+        sent: Message | str = encode(message) if self.params.json_messages else message
+        if message.to != EVERYBODY:
+            robot = self.robots.get(message.to)
+            if robot is not None and robot is not sender:
+                robot.body.advance(now)
+                sender.body.advance(now)
+                apart = math.hypot(robot.body.x - sender.body.x, robot.body.y - sender.body.y)
+                for time in self.network.deliveries(now, name, robot.name, apart):
+                    self._push(max(time, now), self._arrive, (sent, [robot]))
+            return
+        robots, aparts = self._in_range(sender)
+        if self._plain:
+            if robots:
+                self._push(now + self.network.params.delay_s, self._arrive, (sent, robots))
+            return
         arrivals: dict[float, list[GridRobot]] = {}
-        for robot, apart in self._in_range(sender, message.to):
-            for time in deliveries(now, name, robot.name, apart):
-                if time in arrivals:
-                    arrivals[time].append(robot)
-                else:
-                    arrivals[time] = [robot]
-        if arrivals:
-            sent: Message | str = encode(message) if self.params.json_messages else message
-            for time, robots in arrivals.items():
-                self._push(max(time, now), self._arrive, (sent, robots))
+        for robot, apart in zip(robots, aparts.tolist(), strict=True):
+            for time in self.network.deliveries(now, name, robot.name, apart):
+                arrivals.setdefault(time, []).append(robot)
+        for time, those in arrivals.items():
+            self._push(max(time, now), self._arrive, (sent, those))
 
-    def _in_range(self, sender: GridRobot, to: str) -> list[tuple[GridRobot, float]]:
-        """Who may hear the robot, and how far away; those to whom a message is not addressed drop it anyway."""
-        body = sender.body
-        if to != EVERYBODY:
-            robot = self.robots.get(to)
-            if robot is None or not robot.alive or robot is sender:
-                return []
-            robot.body.advance(self.now)
-            body.advance(self.now)
-            return [(robot, math.hypot(robot.body.x - body.x, robot.body.y - body.y))]
+    def _in_range(self, sender: GridRobot) -> tuple[list[GridRobot], np.ndarray]:
+        """Who may hear the robot, in the order in which they were added, and how far away."""
         places, tree = self._places()
-        here, reach, robots = places[sender.index], self.network.params.range_m, self._list
-        near = list(range(len(robots))) if math.isinf(reach) else sorted(tree.query_ball_point(here, reach))
-        aparts = np.hypot(*(places[near] - here).T).tolist()
-        heard = zip((robots[k] for k in near), aparts, strict=True)
-        return [(robot, apart) for robot, apart in heard if robot.alive and robot is not sender]
+        here, reach, robots, own = places[sender.index], self.network.params.range_m, self._list, sender.index
+        everybody = range(len(robots)) if math.isinf(reach) else sorted(tree.query_ball_point(here, reach))
+        near = [k for k in everybody if k != own]
+        return [robots[k] for k in near], np.hypot(*(places[near] - here).T)
 
     def _places(self) -> tuple[np.ndarray, cKDTree]:
         """Where all robots are, as the radio sees it."""
@@ -519,7 +531,8 @@ class GridWorld:
         if radio is None or self.now - radio[0] > self.params.radio_refresh_s:
             for robot in self._list:
                 robot.body.advance(self.now)
-            places = np.array([(robot.body.x, robot.body.y) for robot in self._list])
+            flat = [value for robot in self._list for value in (robot.body.x, robot.body.y)]
+            places = np.array(flat).reshape(-1, 2)
             radio = self._radio = self.now, places, cKDTree(places)
         return radio[1:]
 
@@ -728,6 +741,7 @@ class GridWorld:
             p.marker_pose,
             (p.camera_x_m, 0.0),
             p.radius_m,
+            lambda sources, targets: self.paths.all_metres(sources, targets, self.robots[name].known_ids),
         )
 
     def _plan_for(self, name: str, start: Pose2D, goal: Pose2D) -> np.ndarray:
