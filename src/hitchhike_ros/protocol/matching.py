@@ -31,8 +31,8 @@ Planner = Callable[[Pose2D, Pose2D], FloatArray]
 _ROOM_M = 0.4
 # Who passes a hitchhiking point by so much goes there (chosen: half the width of a wide corridor).
 _SITE_M = 1.5
-# A ride takes its rider nearer to its goal by this much of its length, as the crow flies (chosen: it is a quarter on the
-# first side of an L whose second is twice as long, and a third in P18 Experiment 3).
+# A ride takes its rider nearer to its goal by this much of its length, as the crow flies (chosen: it is a quarter on
+# the first side of an L whose second is twice as long, and a third in P18 Experiment 3).
 _LEAST_PROGRESS = 0.2
 
 
