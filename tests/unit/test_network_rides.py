@@ -22,9 +22,9 @@ from hitchhike_ros.datatypes import HitchhikingPoint, Obstacle, Pose2D
 from hitchhike_ros.geometry import compose, distance
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.announcement import announced_driver
+from hitchhike_ros.protocol.announcement import OwnPath
 from hitchhike_ros.protocol.machine import Send
-from hitchhike_ros.protocol.matching import can_drive
+from hitchhike_ros.protocol.matching import Boardings
 from hitchhike_ros.protocol.messages import Accept, Beacon, Lock, Message, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.grid_world import Errand, GridRobot, GridWorld, GridWorldParameters
@@ -424,6 +424,5 @@ def test_a_driver_denies_a_lock_whose_meeting_is_not_on_its_way() -> None:
     ],
 )
 def test_who_can_drive_one_towards_its_goal(goal: Pose2D, able: bool) -> None:
-    path = ((10.0, 30.0, 0.0), (42.0, 30.0, 60.0))
-    driver = announced_driver("driver", path, 0.0, 1, 0.6)
-    assert can_drive(driver, WEST_POINT, goal, 0.0, SITES, HitchhikingParameters(mode="network")) is able
+    path = OwnPath(np.array([(10.0, 30.0), (42.0, 30.0)]))
+    assert Boardings(path, SITES, HitchhikingParameters(mode="network")).serve(goal) is able

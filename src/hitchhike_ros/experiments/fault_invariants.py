@@ -7,12 +7,12 @@ robots' own parameters; the slack is for the period in which they look again and
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from hitchhike_ros.protocol.convoy import Rider
-from hitchhike_ros.protocol.driver import RIDE_COMPLETED, WITH_RIDER
+from hitchhike_ros.protocol.driver import RIDE_COMPLETED, WITH_RIDER, DriverState
 from hitchhike_ros.protocol.hitchhiker import COUPLED, RETURNING, HitchhikerMachine, HitchhikerState
 from hitchhike_ros.protocol.machine import Award, Effect, Report, Send
 from hitchhike_ros.protocol.messages import (
@@ -33,6 +33,10 @@ from hitchhike_ros.simulation.grid_world import GridRobot, GridWorld
 _METRES, _METRES_SHARE = 3.0, 0.06
 # Of a ride apart from its duration: questions, answers, last words, and as much again for luck.
 _MESSAGES_A_RIDE = 120
+
+
+# What the world says of a goal that somebody took back.
+GOAL_CHANGED = "Goal changed"
 
 
 class BrokenInvariantError(Exception):
@@ -92,8 +96,8 @@ class Referee:
             if missing:
                 self._fail(f"{name} has acknowledged {', '.join(sorted(missing))}, which its map does not have")
             for trip in robot.trips:
-                if not trip.reached and not trip.reason:
-                    self._fail(f"{name} gave up a goal without a reason")
+                if not trip.reached and trip.reason != GOAL_CHANGED:  # every place of the world can be reached
+                    self._fail(f"{name} gave up a goal: {trip.reason}")
         for ride_id, ride in self._rides.items():
             if ride.completed and ride.awards != 1:
                 self._fail(f"{ride_id} was completed and credited {ride.awards} times")
@@ -164,6 +168,8 @@ class Referee:
     def _check_driver(self, now: float, robot: GridRobot) -> None:
         machine = robot.traveller.driver
         riders = tuple(machine._convoy)
+        if not riders:
+            return
         names = [rider.offer.hitchhiker for rider in riders]
         if len(names) > robot.params.places or len(set(names)) < len(names):
             self._fail(f"{robot.name} has {robot.params.places} places and gives them to {names}")
@@ -172,13 +178,13 @@ class Referee:
         for rider in riders:
             if rider.coupled:
                 self._track_metres(rider)
-                known = self._rider_knows(robot, rider)
-                self._lasts(now, not known, self._lost_s(robot), "driver", robot.name, rider.offer.ride_id)
-        coupled: Counter[str] = Counter()
-        for other in self._alive():
-            coupled.update({r.offer.hitchhiker for r in other.traveller.driver._convoy if r.coupled})
-        for hitchhiker, drivers in coupled.items():
-            self._lasts(now, drivers > 1, self._lost_s(robot), "two drivers", hitchhiker, "")
+                lost = machine.state is not DriverState.ALIGNED and not self._rider_knows(rider)
+                self._lasts(now, lost, self._lost_s(robot), "driver", robot.name, rider.offer.ride_id)
+        for rider in machine._convoy.coupled:
+            hitchhiker = rider.offer.hitchhiker
+            others = (other.traveller.driver._convoy.of(hitchhiker) for other in self._alive() if other is not robot)
+            twice = any(other is not None and other.coupled for other in others)
+            self._lasts(now, twice, self._lost_s(robot), "two drivers", hitchhiker)
 
     def _check_hitchhiker(self, now: float, robot: GridRobot) -> None:
         machine = robot.traveller.hitchhiker
@@ -224,17 +230,16 @@ class Referee:
             self._fail(f"{' '.join(what)}: not of one mind for {now - since:.1f} s")
 
     def _lost_s(self, robot: GridRobot) -> float:
-        """So long may a driver take to notice that it has lost its rider."""
+        """So long may a driver under way take to notice that it has lost its rider."""
         p = robot.params
-        notices = p.ack_timeout_s + max(p.lost_timeout_s, p.decouple_timeout_s)
-        # In a convoy it may wait for one and then for another; while others couple it stands anyway.
-        return p.places * (notices + p.patience_s + p.max_couple_s)
+        # It may be waiting for another one that is lost, and then for this one.
+        return p.ack_timeout_s + 2.0 * p.lost_timeout_s + p.decouple_timeout_s
 
     def _silent_s(self, robot: GridRobot) -> float:
         """So long may a rider take to notice that its driver is gone."""
         return robot.params.message_timeout_s + robot.params.settle_timeout_s
 
-    def _rider_knows(self, driver: GridRobot, rider: Rider) -> bool:
+    def _rider_knows(self, rider: Rider) -> bool:
         robot = self._world.robots[rider.offer.hitchhiker]
         machine = robot.traveller.hitchhiker
         return robot.alive and machine.ride_id == rider.offer.ride_id and machine.offer is not None

@@ -40,6 +40,11 @@ _BOXES = (("a", 20.0, 3.0), ("b", 48.0, 5.0), ("c", 20.0, 35.0), ("d", 48.0, 33.
 _LEAST_TRIP_M = 15.0
 # By then everybody is at its goal, or has said why not.
 _LIMIT_S = 1500.0
+# Steps of a ride in which a robot that falls silent leaves another one waiting.
+_AWKWARD = (
+    *("locking", "awaiting_aligned", "coupling", "riding", "settling", "relocalizing"),
+    *("aligning", "aligned", "driving", "waiting_for_rider", "decoupling"),
+)
 # One run of so many has its messages as text; in the others they are handed over as objects, which is faster.
 _JSON_SHARE = 8
 _TRACE = 150  # lines of a run that fails
@@ -57,6 +62,7 @@ _COMMON: dict[str, Any] = {
     "max_wait_s": 40.0,
     "min_ride_m": 10.0,
     "settle_timeout_s": 6.0,
+    "lost_timeout_s": 20.0,
 }
 
 
@@ -201,14 +207,42 @@ def _partitions(luck: random.Random, names: list[str]) -> tuple[Partition, ...]:
 
 
 def _crash(world: GridWorld, luck: random.Random, names: list[str]) -> None:
-    """Some robots fall silent; most of them come back, and are given their goal again."""
+    """Robots fall silent at any time, or when they or their partners have just come to some step; most come back."""
+
+    def for_s() -> float:
+        return math.inf if luck.random() < 0.3 else luck.uniform(0.5, 60.0)
+
     for name in names:
-        if luck.random() < 0.4:
-            begin, for_good = luck.uniform(5.0, _LAST_MISHAP_S), luck.random() < 0.2
-            world.at(begin, lambda name=name: world.crash(name))  # type: ignore[misc]
-            if not for_good:
-                end = min(begin + luck.uniform(0.5, 60.0), _LAST_MISHAP_S)
-                world.at(end, lambda name=name: world.restart(name))  # type: ignore[misc]
+        if luck.random() < 0.2:
+            _fall_silent(world, name, luck.uniform(5.0, _LAST_MISHAP_S), for_s())
+    for _ in range(luck.randint(1, 2)):
+        after_s = luck.choice((0.0, luck.uniform(0.0, 2.0)))
+        world.observers.append(_Trigger(world, luck.choice(_AWKWARD), luck.random() < 0.5, after_s, for_s()))
+
+
+def _fall_silent(world: GridWorld, name: str, begin_s: float, for_s: float) -> None:
+    world.at(begin_s, lambda: world.crash(name))
+    if math.isfinite(for_s):
+        world.at(min(begin_s + for_s, max(begin_s + 0.5, _LAST_MISHAP_S)), lambda: world.restart(name))
+
+
+@dataclass
+class _Trigger:
+    """An observer: when the first robot with a ride comes to ``state``, it or its ``partner`` falls silent."""
+
+    world: GridWorld
+    state: str
+    partner: bool
+    after_s: float
+    for_s: float
+
+    def __call__(self, now: float, name: str, _event: object, _effects: object) -> None:
+        status = self.world.robots[name].status
+        if not self.state or status.state != self.state or status.ride is None or now > _LAST_MISHAP_S:
+            return
+        self.state = ""
+        other = status.ride.driver if status.role == "hitchhiker" else status.ride.hitchhiker
+        _fall_silent(self.world, other if self.partner else name, now + self.after_s, self.for_s)
 
 
 def _place(luck: random.Random) -> Pose2D:

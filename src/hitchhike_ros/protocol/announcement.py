@@ -17,7 +17,7 @@ _SIMPLIFY_M = 0.15
 # Farther from its plan a robot is on another way (chosen).
 _ASTRAY_M = 1.5
 # A ride may end at nodes of the path, which are no farther apart (chosen).
-_NODES_M = 2.5
+NODES_M = 2.5
 # Steps that are shorter are none (m).
 _STEP_M = 1e-3
 
@@ -71,6 +71,11 @@ class OwnPath:
             np.concatenate([[min(from_m, self.length_m)], self.arcs[later]]),
         )
 
+    def nodes(self) -> tuple[FloatArray, FloatArray]:
+        """Points (K, 2) all along the path, and their arcs (K,), no farther apart than where a ride may end."""
+        arcs = np.linspace(0.0, self.length_m, max(2, int(np.ceil(self.length_m / NODES_M)) + 1))
+        return np.column_stack([np.interp(arcs, self.arcs, axis) for axis in self.points.T]), arcs
+
     def at(self, arc_m: float) -> Pose2D:
         """The pose on the path after so many metres, looking along it; before its beginning it goes straight on."""
         if len(self.points) == 1:
@@ -96,7 +101,7 @@ def announced_driver(
     """A path that was announced at ``heard_at``, on the own clock, with nodes where one may leave along the way."""
     columns = np.array(waypoints, dtype=float)
     metres = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(columns[:, :2], axis=0).T))])
-    pieces = np.maximum(np.ceil(np.diff(metres) / _NODES_M), 1).astype(int)
+    pieces = np.maximum(np.ceil(np.diff(metres) / NODES_M), 1).astype(int)
     knots = np.concatenate([k + np.arange(n) / n for k, n in enumerate(pieces)] + [[len(pieces)]])
     x, y, in_s = (np.interp(knots, np.arange(len(columns)), column) for column in columns.T)
     return AnnouncedDriver(robot_id, np.column_stack([x, y]), heard_at + in_s, free_places, safe_speed_mps)

@@ -20,7 +20,7 @@ from hitchhike_ros.errors import ItineraryInputError, PlanningError
 from hitchhike_ros.geometry import between, compose, distance, point_in_polygon
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.overlap import common_stretch
-from hitchhike_ros.protocol.announcement import OwnPath, announced_driver
+from hitchhike_ros.protocol.announcement import OwnPath
 from hitchhike_ros.protocol.convoy import Convoy, Offer, Rider
 from hitchhike_ros.protocol.machine import (
     Award,
@@ -31,7 +31,7 @@ from hitchhike_ros.protocol.machine import (
     Tick,
     Timeout,
 )
-from hitchhike_ros.protocol.matching import Planner, can_drive, stretch
+from hitchhike_ros.protocol.matching import Boardings, Planner, stretch
 from hitchhike_ros.protocol.messages import (
     Accept,
     Ack,
@@ -88,6 +88,8 @@ _ODOMETER_STEP_M = 0.2
 
 # Riders who leave within this of each other leave together (chosen).
 _LEAVE_TOGETHER_M = 1.0
+# Answers to so many questions are remembered (chosen).
+_REMEMBERED = 30
 # A robot that joins boards within this of where the first rider does (chosen).
 _JOIN_M = 0.5
 _NOWHERE = HitchhikingPoint("", (), Pose2D(), Pose2D())  # before a hitchhiker has said where
@@ -171,7 +173,9 @@ class DriverMachine(Machine[DriverState]):
         self._plate = Plate(marker_id=params.marker_id, marker_size_m=params.marker_size_m, marker_pose=marker_pose)
         self._convoy = Convoy(self._plate)
         self._offered: dict[tuple[str, str], tuple[float, Offer]] = {}  # to whom, and until when it holds
+        self._asked: dict[tuple[str, str], bool] = {}  # whether it could serve who asked
         self._path: OwnPath | None = None
+        self._boardings: tuple[OwnPath, Boardings] | None = None  # along that path
         self._board_m = 0.0  # along that path, where it aligns
         self._way_s = 0.0  # to there, at most
         self._goals, self._own_goal_id = 0, ""
@@ -541,16 +545,16 @@ class DriverMachine(Machine[DriverState]):
 
     def _answer_from_afar(self, request: Request) -> None:
         """Every able driver accepts, with its way and its times; it denies at once with the reason (P18 Alg. 2)."""
-        waypoints = self.announced()
         reason = self._unwilling(request)
-        if reason is None and not waypoints:
+        if reason is None and not self.free_places:
             reason = PATH_TOO_SHORT if self.state in (S.IDLE, S.NAVIGATING) else ALREADY_DRIVING
-        if reason is None:
-            own = announced_driver(self.robot_id, waypoints, self._now, 1, self.params.safe_speed_mps)
-            if not can_drive(own, request.pose, request.goal, self._now, self._sites, self.params):
-                reason = PATH_TOO_SHORT
-            elif request.profile > self.params.profile:
-                reason = PROFILE_MISMATCH
+        if reason is None and not self._on_the_way(request):
+            reason = PATH_TOO_SHORT
+        if reason is None and request.profile > self.params.profile:
+            reason = PROFILE_MISMATCH
+        waypoints = self.announced() if reason is None else ()
+        if reason is None and not waypoints:
+            reason = PATH_TOO_SHORT
         if reason is not None:
             self._deny(request, reason)
             return
@@ -558,6 +562,19 @@ class DriverMachine(Machine[DriverState]):
         offer = Offer(request.robot_id, request.ride_id, _NOWHERE, length, Pose2D(*waypoints[-1][:2]))
         self._promise(offer)
         self._accept(request, offer, waypoints)
+
+    def _on_the_way(self, request: Request) -> bool:
+        """Whether it comes by a place from where its way is the hitchhiker's too; a question is repeated, not this."""
+        key = (request.robot_id, request.ride_id)
+        if key not in self._asked:
+            path = self._own_path()
+            if path is None:
+                return False
+            if self._boardings is None or self._boardings[0] is not path:
+                self._boardings = path, Boardings(path, self._sites, self.params)
+            self._asked = dict(list(self._asked.items())[-_REMEMBERED:])
+            self._asked[key] = self._boardings[1].serve(request.goal)
+        return self._asked[key]
 
     def _ask_to_join(self, request: Request) -> None:
         """Another hitchhiker asks a driver that has riders already, or is about to."""

@@ -38,6 +38,7 @@ from hitchhike_ros.protocol.machine import (
 )
 from hitchhike_ros.protocol.matching import Meeting, choose
 from hitchhike_ros.protocol.messages import (
+    EVERYBODY,
     Accept,
     Ack,
     Aligned,
@@ -78,8 +79,8 @@ _TOLD_STEP_M, _TOLD_M = 0.2, 4.0
 _CATCH_UP_M, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD = 0.4, 0.25, 0.25
 # A hitchhiker within this of the heading of its hitchhiking point is in line; it turns where it stands (chosen).
 _IN_LINE_RAD, _IN_LINE_M = 0.06, 0.25
-# So long it stands in the gap before it is coupled: three images (chosen).
-_SETTLED_S = 0.3
+# Images of so long a time show it in the gap before it is coupled: four at 10 Hz (chosen).
+_SETTLED_S = 0.25
 # A marker that is seen nearer than this beyond the gap can be coupled with, a farther one may be behind a corner.
 _COUPLING_REACH_M = 1.2
 
@@ -124,6 +125,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Row((S.REQUESTING,), Tick, "_repeat_request", (S.LOCKING, S.IDLE)),
         Row((S.REQUESTING,), Accept, "_take_offer", (S.LOCKING,)),
         Row((S.REQUESTING,), Deny, "_note_denial"),
+        Row((S.REQUESTING,), Request, "_note_question"),
         Row(tuple(s for s in S if s is not S.REQUESTING), Accept, "_refuse_offer"),
         Row((S.LOCKING,), Tick, "_repeat_lock"),
         Row((S.LOCKING,), Ack, "_locked", (S.AWAITING_ALIGNED,)),
@@ -189,6 +191,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._offers: dict[str, tuple[Accept, float]] = {}
         self._answered: set[str] = set()
         self.window_s = params.offer_window_s
+        self.asks = EVERYBODY
         self._requested_at = self._due_at = self._way_s = 0.0
         self._place = 1
         self._plate: Plate | None = None  # ahead
@@ -268,6 +271,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._asked_since, self._offers, self.meeting = self._now, {}, None
         self._new_request()
         self._go(S.REQUESTING)
+        if self.situation.estimate is not None and self._every(self.params.request_period_s, "request"):
+            self._send_request(self.situation.estimate.pose)
 
     def _repeat_request(self, _tick: Tick) -> None:
         estimate = self.situation.estimate
@@ -276,12 +281,15 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if self.params.mode == "network" and self._heard_enough():
             self._decide(estimate.pose)
             return
-        if not self._every(self.params.request_period_s, "request"):
-            return
-        pose = estimate.pose
+        if self._every(self.params.request_period_s, "request"):
+            self._send_request(estimate.pose)
+
+    def _send_request(self, pose: Pose2D) -> None:
+        assert self.goal is not None
         self._send(
             Request(
                 robot_id=self.robot_id,
+                to=self.asks,
                 ride_id=self.ride_id,
                 x=pose.x,
                 y=pose.y,
@@ -308,6 +316,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self.reason = denial.reason
         self._offers.pop(denial.robot_id, None)
         self._answered.add(denial.robot_id)
+
+    def _note_question(self, request: Request) -> None:
+        """Who asks for a ride itself when it is asked for one wants the roles reversed."""
+        self._answered.add(request.robot_id)
 
     def _refuse_offer(self, offer: Accept) -> None:
         if self.offer is None or offer.robot_id != self.offer.robot_id:
@@ -551,6 +563,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     # What several actions do.
 
     def _concerns(self, message: Message) -> bool:
+        if isinstance(message, Request):
+            return message.to == self.robot_id
         if not self.ride_id or message.ride_id != self.ride_id:
             return False
         return self.offer is None or isinstance(message, Accept) or message.robot_id == self.offer.robot_id
@@ -623,6 +637,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         waited, ask = self._now - self._requested_at, self._neighbours.drivers
         if waited >= self.window_s:
             return True
+        if self.asks != EVERYBODY:
+            return self.asks in self._answered
         if waited < self.params.beacon_period_s:
             ask = self._neighbours.known
         return bool(self._answered) and ask(self._now, self.params.robot_timeout_s) <= self._answered

@@ -12,7 +12,7 @@ from hitchhike_ros.datatypes import FloatArray, HitchhikingPoint, Pose2D
 from hitchhike_ros.errors import ItineraryInputError, PlanningError, UnreachableError
 from hitchhike_ros.geometry import compose, distance, path_length
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, possible_rides, usable_drivers
+from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, usable_drivers
 from hitchhike_ros.planning.itinerary import (
     Itinerary,
     ItineraryParameters,
@@ -70,16 +70,29 @@ def solo_metres(planner: Planner) -> SoloMetres:
     return metres
 
 
-def can_drive(
-    driver: AnnouncedDriver, start: Pose2D, goal: Pose2D, now: float, sites: Sites, params: HitchhikingParameters
-) -> bool:
-    """Whether the driver's path has a ride longer than T_dhh that takes one from ``start`` nearer to ``goal``."""
-    usable, _ = usable_drivers([driver], now, _rules(params))
-    ends = np.array([[start.x, start.y], [goal.x, goal.y]])
-    rides = possible_rides(usable, _places(sites), ends[0], ends[1], _rules(params))
-    to_go = np.hypot(*(rides.points - ends[1]).T)
-    nearer = to_go[rides.at][rides.boarding] - to_go[rides.to]
-    return bool((nearer > _LEAST_PROGRESS * rides.metres).any())
+class Boardings:
+    """Where one may board along a path, and what rides can be had there: the quick answer to a question from afar."""
+
+    def __init__(self, path: OwnPath, sites: Sites, params: HitchhikingParameters) -> None:
+        self._path, self._params = path, params
+        self._nodes, self._arcs = path.nodes()
+        if params.board_anywhere:
+            self._at = self._arcs
+            return
+        found = [(p.waiting_pose, *path.nearest(p.waiting_pose.x, p.waiting_pose.y)) for p in sites.hitchhiking_points]
+        self._at = np.array(
+            [arc for pose, away, arc in found if away <= _SITE_M and math.cos(path.at(arc).theta - pose.theta) > 0.0]
+        )
+
+    def serve(self, goal: Pose2D) -> bool:
+        """Whether a ride longer than T_dhh, from where the robot is on, takes one nearer to ``goal``."""
+        begin = self._at[self._at >= self._path.come_m - _SITE_M]
+        if not len(begin):
+            return False
+        to_go = np.hypot(self._nodes[:, 0] - goal.x, self._nodes[:, 1] - goal.y)
+        metres = self._arcs - begin[:, None]
+        nearer = np.interp(begin, self._arcs, to_go)[:, None] - to_go
+        return bool(((metres > self._params.min_ride_m) & (nearer > _LEAST_PROGRESS * metres)).any())
 
 
 def choose(

@@ -328,12 +328,12 @@ def _is_covariance(sigma: Covariance) -> bool:
 
 
 @cache
-def _names(cls: type) -> tuple[str, ...]:
+def _names(cls: type[Any]) -> tuple[str, ...]:
     return tuple(f.name for f in fields(cls))
 
 
 @cache
-def _names_of_poses(cls: type) -> tuple[str, ...]:
+def _names_of_poses(cls: type[Any]) -> tuple[str, ...]:
     """Fields that may hold a pose, or a plate with one."""
     return tuple(f.name for f in fields(cls) if "Pose2D" in str(f.type) or "Plate" in str(f.type))
 
@@ -343,7 +343,7 @@ def _poses(value: object, content: Any, name: str = "") -> Iterator[tuple[str, d
     if isinstance(value, Pose2D):
         yield name, content
     elif isinstance(value, Message | Plate):
-        for field in _names_of_poses(type(value)):
+        for field in _names_of_poses(value.__class__):
             if (inner := getattr(value, field)) is not None:
                 yield from _poses(inner, content[field], f"{name}.{field}" if name else field)
 
@@ -354,7 +354,7 @@ def _finite(value: object) -> bool:
         return math.isfinite(value)
     if isinstance(value, tuple):
         return all(map(_finite, value))
-    if is_dataclass(value):
+    if is_dataclass(value) and not isinstance(value, type):
         return all(_finite(getattr(value, name)) for name in _names(type(value)))
     return True
 

@@ -6,6 +6,8 @@ still on, by a second hitchhiker machine that asks from where that ride will end
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hitchhike_ros.datatypes import Pose2D, PoseEstimate
@@ -13,12 +15,12 @@ from hitchhike_ros.errors import PlanningError
 from hitchhike_ros.geometry import path_length
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
-from hitchhike_ros.protocol.announcement import OwnPath, announced_driver
+from hitchhike_ros.protocol.announcement import OwnPath
 from hitchhike_ros.protocol.driver import ARRIVED, DriverMachine, DriverState
 from hitchhike_ros.protocol.hitchhiker import COUPLED, HitchhikerMachine, HitchhikerState
 from hitchhike_ros.protocol.machine import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
-from hitchhike_ros.protocol.matching import Planner, can_drive, solo_metres
-from hitchhike_ros.protocol.messages import Beacon, Message, Plate, Request
+from hitchhike_ros.protocol.matching import Boardings, Planner, solo_metres
+from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Message, Plate, Request
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
 from hitchhike_ros.protocol.status import Status
@@ -60,6 +62,7 @@ class Traveller:
         self._situation = Situation()
         self._pending: Pose2D | None = None
         self._asks = 0  # on the way to the present goal
+        self._reversed_at = -math.inf
         self._booked_for = ""  # the ride after which another one was looked for
         self._beacon_due = 0.0
         self._driver = ""  # of the newest ride
@@ -115,11 +118,13 @@ class Traveller:
 
     def _hear(self, message: Message, now: float) -> list[Effect]:
         self.neighbours.hear(message, now)
+        if isinstance(message, Beacon):
+            return []
         effects = self.hitchhiker.step(message, now)
         if self.booking is not None:
             effects += self.booking.step(message, now)
         if isinstance(message, Request) and self._rather_rides(message, now):
-            return effects + self._reverse_roles(now)
+            return effects + self._reverse_roles(message, now)
         if not self.rides:
             effects += self.driver.step(message, now)
         return effects
@@ -138,6 +143,7 @@ class Traveller:
             effects += self._ask(goal, now) if self._wants_ride(goal) else self.driver.step(GoalGiven(goal), now)
         if now >= self._beacon_due:
             self._beacon_due = now + self.params.beacon_period_s
+            self.neighbours.forget(now - max(self.params.robot_timeout_s, self.params.lost_timeout_s))
             effects.append(Send(self._beacon()))
         return effects
 
@@ -146,8 +152,9 @@ class Traveller:
             self.robot_id, self.params, self._sites, self._camera, self._plate, self.neighbours, self._metres
         )
 
-    def _ask(self, goal: Pose2D, now: float) -> list[Effect]:
+    def _ask(self, goal: Pose2D, now: float, whom: str = EVERYBODY) -> list[Effect]:
         self._asks += 1
+        self.hitchhiker.asks = whom
         self.hitchhiker.window_s = self.params.offer_window_s
         return self.hitchhiker.step(GoalGiven(goal), now)
 
@@ -197,23 +204,21 @@ class Traveller:
             return False
         if goal is None or here is None or request.profile <= own.profile or request.in_s > 0.0:
             return False
-        if max(own.priority, request.priority) >= TIME_CRITICAL_PRIORITY:
+        if max(own.priority, request.priority) >= TIME_CRITICAL_PRIORITY or now < self._reversed_at + own.patience_s:
             return False
         try:
             path = OwnPath(self._planner(request.pose, request.goal))
         except PlanningError:
             return False  # then it goes nowhere
-        waypoints = path.waypoints(own.cruise_speed_mps)
-        if not waypoints:
-            return False
-        other = announced_driver(request.robot_id, waypoints, now, 1, own.safe_speed_mps)
-        return can_drive(other, here.pose, goal, now, self._sites, own)
+        self._reversed_at = now  # it does not look at that again for a while
+        return Boardings(path, self._sites, own).serve(goal)
 
-    def _reverse_roles(self, now: float) -> list[Effect]:
+    def _reverse_roles(self, request: Request, now: float) -> list[Effect]:
+        """It asks that one alone, and gives it the time to give up its own question."""
         goal = self.driver.own_goal
         assert goal is not None
         effects: list[Effect] = [Report(ROLES_REVERSED)]
-        effects += self.driver.step(GoalCancelled(), now) + self._ask(goal, now)
+        effects += self.driver.step(GoalCancelled(), now) + self._ask(goal, now, request.robot_id)
         self.hitchhiker.window_s = _REVERSAL_WINDOWS * self.params.offer_window_s
         return effects
 
