@@ -332,10 +332,11 @@ def _names(cls: type[Any]) -> tuple[str, ...]:
     return tuple(f.name for f in fields(cls))
 
 
-@cache
-def _names_of_poses(cls: type[Any]) -> tuple[str, ...]:
-    """Fields that may hold a pose, or a plate with one."""
-    return tuple(f.name for f in fields(cls) if "Pose2D" in str(f.type) or "Plate" in str(f.type))
+# Of each class, the fields that may hold a pose, or a plate with one.
+_FIELDS_OF_POSES = {
+    cls: tuple(f.name for f in fields(cls) if "Pose2D" in str(f.type) or "Plate" in str(f.type))
+    for cls in (*MESSAGE_TYPES.values(), Plate)
+}
 
 
 def _poses(value: object, content: Any, name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
@@ -343,7 +344,7 @@ def _poses(value: object, content: Any, name: str = "") -> Iterator[tuple[str, d
     if isinstance(value, Pose2D):
         yield name, content
     elif isinstance(value, Message | Plate):
-        for field in _names_of_poses(value.__class__):
+        for field in _FIELDS_OF_POSES[type(value)]:
             if (inner := getattr(value, field)) is not None:
                 yield from _poses(inner, content[field], f"{name}.{field}" if name else field)
 
