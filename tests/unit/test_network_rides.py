@@ -329,6 +329,17 @@ def test_a_full_convoy_takes_no_more() -> None:
     assert [robot.trips[0].ridden_m > 40.0 for robot in riders] == [True, True, False]
 
 
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_who_stands_in_front_rides_in_front_whoever_asks_first(first: int) -> None:
+    fleet = Fleet()
+    driver = fleet.driver("driver", *FAR_DRIVER, places=3)
+    for k in range(3):
+        at_s = 3.0 if k == first else 3.5
+        fleet.add(f"rider{k}", Pose2D(12.0 - 1.2 * k, 30.0, EAST), Pose2D(62.0, 29.4, EAST), at_s)
+    fleet.run(lambda: driver.status.state == "driving")
+    assert driver.status.convoy == ("rider0", "rider1", "rider2")
+
+
 def test_places_are_given_once() -> None:
     fleet, _ = _convoy()
     fleet.run()

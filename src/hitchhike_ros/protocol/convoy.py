@@ -100,9 +100,13 @@ class Convoy:
     def of(self, hitchhiker: str) -> Rider | None:
         return next((rider for rider in self._riders if rider.offer.hitchhiker == hitchhiker), None)
 
-    def add(self, rider: Rider) -> None:
-        """Behind all others."""
-        self._riders.append(rider)
+    def add(self, rider: Rider, may_pass: bool = False) -> None:
+        """Behind all others, or ``may_pass`` those that are not coupled and will be there later: who comes first waits
+        in front."""
+        k = len(self._riders)
+        while may_pass and k > 0 and not self._riders[k - 1].coupled and self._riders[k - 1].due > rider.due:
+            k -= 1
+        self._riders.insert(k, rider)
 
     def remove(self, rider: Rider) -> None:
         """Those behind it move up."""

@@ -664,7 +664,7 @@ class DriverMachine(Machine[DriverState]):
     def _join(self, lock: Lock, offer: Offer) -> Rider:
         self._offered.pop((lock.robot_id, lock.ride_id), None)
         rider = Rider(offer, lock.plate, self._now + lock.in_s)
-        self._convoy.add(rider)
+        self._convoy.add(rider, may_pass=self.state is not S.ALIGNED)  # there one may be coupling already
         self._last_words = [(due, word) for due, word in self._last_words if word.ride_id != offer.ride_id]
         self._report(f"Meeting {offer.hitchhiker} for a ride of {offer.ride_m:.1f} m")
         return rider
