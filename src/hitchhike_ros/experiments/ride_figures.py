@@ -171,7 +171,11 @@ def _ride_of(record: RideRecord, hitchhiker: str, asked_at: float, statuses: Seq
     ride = statuses[0].ride
     if ride is None or ride.driver not in record.robots:
         return Ride(hitchhiker, requested_at=asked_at)
-    driven = [s for s in record.robots[ride.driver].statuses if s.ride is not None and s.ride.ride_id == ride.ride_id]
+    driven = [
+        s
+        for s in record.robots[ride.driver].statuses
+        if hitchhiker in s.convoy or (s.ride is not None and s.ride.ride_id == ride.ride_id)
+    ]
     riding_at = statuses[0].time_stamp if statuses[0].state == "riding" else None
     on_board = ("riding", "seeking", "locating", "catching_up", "recoupling", "parting", "settling", "relocalizing")
     released = (s.time_stamp for s in statuses if s.role != "hitchhiker" or s.state not in on_board)
@@ -182,9 +186,16 @@ def _ride_of(record: RideRecord, hitchhiker: str, asked_at: float, statuses: Seq
         offered_at=_first(driven, "offering", "aligning"),
         aligning_at=_first(driven, "aligning", "aligned"),
         riding_at=riding_at,
-        decoupling_at=_first(driven, "decoupling"),
+        decoupling_at=_decoupling(driven, _first(statuses, "settling")),
         released_at=next(released, None) if riding_at is not None else None,
     )
+
+
+def _decoupling(driven: Sequence[Status], settled_at: float | None) -> float | None:
+    """When the driver began to hand over to the one that settled; in a convoy others may have left before."""
+    began = [s.time_stamp for s in driven if s.state == "decoupling"]
+    before = [stamp for stamp in began if settled_at is not None and stamp <= settled_at]
+    return before[-1] if before else next(iter(began), None)
 
 
 def ride_figures(record: RideRecord) -> list[Figure]:
