@@ -29,6 +29,17 @@ def test_its_own_and_foreign_messages_stay_out_without_a_complaint() -> None:
     assert not inbox.dropped
 
 
+def test_another_robot_of_the_same_name_is_noticed_and_counted() -> None:
+    inbox = Inbox(DRIVER)
+    own = replace(LOCK, robot_id=DRIVER, to="*")
+    inbox.sent(own)
+    assert inbox.receive(encode(own)) is None
+    for stranger in (replace(own, seq=6), replace(own, time_stamp=99.0)):
+        with pytest.raises(MessageError, match=f"another robot is called {DRIVER} too"):
+            inbox.receive(encode(stranger))
+    assert inbox.dropped == {"own_id": 2}
+
+
 @pytest.mark.parametrize("changes", [{}, {"seq": 4}, {"seq": 4, "time_stamp": 99.0}, {"seq": 6, "time_stamp": 99.0}])
 def test_replayed_and_overtaken_messages_are_dropped_and_counted(changes: dict[str, object]) -> None:
     inbox = Inbox(DRIVER)

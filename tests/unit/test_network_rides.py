@@ -437,3 +437,15 @@ def test_a_driver_denies_a_lock_whose_meeting_is_not_on_its_way() -> None:
 def test_who_can_drive_one_towards_its_goal(goal: Pose2D, able: bool) -> None:
     path = OwnPath(np.array([(10.0, 30.0), (42.0, 30.0)]))
     assert Boardings(path, SITES, HitchhikingParameters(mode="network")).serve(goal) is able
+
+
+def test_a_driver_that_says_it_is_late_is_not_waited_for() -> None:
+    fleet = Fleet()
+    driver = fleet.driver("driver", *FAR_DRIVER)
+    rider = fleet.add("rider", WEST_POINT, EAST_END, max_wait_s=30.0)
+    fleet.run(lambda: rider.status.state == "awaiting_aligned")
+    assert rider.status.ride is not None
+    driver.traveller.driver._board_m += 100.0  # as if it had come to a way round
+    fleet.run(lambda: rider.status.state != "awaiting_aligned", limit_s=fleet.world.now + 5.0)
+    assert (rider.status.state, rider.status.reason) == ("requesting", "Driver is late")
+    fleet.run(lambda: driver.status.role == "none")

@@ -243,7 +243,10 @@ class HitchhikeComm:
     def _carry_out(self, effect: Effect, now: float) -> None:
         if isinstance(effect, Send):
             self._seq += 1
-            self._network.publish(String(encode(stamped(effect.message, self._seq, now))))
+            message = stamped(effect.message, self._seq, now)
+            with self._lock:
+                self._inbox.sent(message)  # it comes back on a topic that all share
+            self._network.publish(String(encode(message)))
         elif isinstance(effect, TakePose):
             self._initialpose.publish(estimate_to_msg(effect.estimate))
         elif isinstance(effect, TakeObstacles):

@@ -353,7 +353,8 @@ class DriverMachine(Machine[DriverState]):
             rider = self._join(lock, offer)
         rider.due, rider.heard_at = self._now + lock.in_s, self._now
         place = self._convoy.place(rider)
-        self._send(Ack(**self._to(rider), of=lock.type, acknowledges=lock.seq, place=place))
+        in_s = self._to_board_m() / self.speed_limit_mps if self.params.mode == "network" else 0.0
+        self._send(Ack(**self._to(rider), of=lock.type, acknowledges=lock.seq, place=place, in_s=in_s))
 
     def _refuse_lock(self, lock: Lock, reason: str = NOT_OFFERED) -> None:
         if self._convoy.find(lock) is None:

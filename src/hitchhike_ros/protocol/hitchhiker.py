@@ -61,6 +61,7 @@ from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatu
 DRIVER_NOT_FOUND = "Driver not found"
 ALONE_IS_BETTER = "Driving alone is better"
 DRIVER_GONE = "Driver not heard of"
+DRIVER_LATE = "Driver is late"
 CANNOT_MEET = "No way to the hitchhiking point"
 DRIVER_LOST = "Driver lost"
 DRIVER_SILENT = "No message from the driver"
@@ -192,7 +193,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._answered: set[str] = set()
         self.window_s = params.offer_window_s
         self.asks = EVERYBODY
-        self._requested_at = self._due_at = self._way_s = 0.0
+        self._requested_at = self._due_at = self._way_s = self._agreed_at = self._driver_due_at = 0.0
         self._place = 1
         self._plate: Plate | None = None  # ahead
         self._sent_off = False
@@ -336,6 +337,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._offers.pop(self.offer.robot_id, None)
         self._cancel_offers()
         self._place, self._sent_off, self._lost_way_at, self._heard_at = ack.place, False, None, self._now
+        self._agreed_at, self._driver_due_at = self._now, self._now + ack.in_s
         self._way = None if self.meeting is not None else self._turn_into_line()
         self._go(S.AWAITING_ALIGNED)
 
@@ -345,9 +347,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             return
         if not self._sent_off and self.ready_in_s <= 0.0 and self.situation.estimate is not None:
             self._way, self._sent_off = self._way_to_wait(), True
-        gone = self._now - self._heard_at > self.params.contact_timeout_s
-        if gone or self._no_way():
-            reason = DRIVER_GONE if gone else CANNOT_MEET
+        if (reason := self._why_not_meet()) is not None:
             self._tell(Terminate(**self._to_driver(), reason=reason))
             self._ask_again(reason)
         elif self._every(self.params.request_period_s, "lock"):
@@ -355,6 +355,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _note_place(self, ack: Ack) -> None:
         self._heard_at = self._now
+        if ack.of == Lock.type:
+            self._driver_due_at = self._now + ack.in_s
         if ack.of == Lock.type and ack.place != self._place:
             self._place, self._sent_off = ack.place, False
 
@@ -724,6 +726,15 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             report is not None and self._way is not None and (report.goal_id, report.state) == (self._way.id, "arrived")
         )
         return self._sent_off and (self._way is None or arrived)
+
+    def _why_not_meet(self) -> str | None:
+        """Why the ride that was arranged comes to nothing; None while it may still come about."""
+        assert self.meeting is not None
+        if self._now - self._heard_at > self.params.contact_timeout_s:
+            return DRIVER_GONE
+        if self._driver_due_at > self._agreed_at + self.meeting.begins_in_s + self.params.patience_s:
+            return DRIVER_LATE
+        return CANNOT_MEET if self._no_way() else None
 
     def _no_way(self) -> bool:
         """Whether navigation has had no path to there for a while."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 
 from hitchhike_ros.errors import MessageError
 from hitchhike_ros.protocol.messages import EVERYBODY, Message, decode
+
+# So many of its own messages a robot knows again when they come back to it (chosen).
+_OWN = 1000
 
 
 class Inbox:
@@ -16,21 +19,34 @@ class Inbox:
         self._robot_id = robot_id
         # Time first: a robot that restarts counts from anew.
         self._newest: dict[str, tuple[float, int]] = {}
+        self._own: deque[tuple[float, int]] = deque(maxlen=_OWN)
+
+    def sent(self, message: Message) -> None:
+        """The robot has sent this; from then on what comes in its name and is none of its own is noticed."""
+        self._own.append((message.time_stamp, message.seq))
 
     def receive(self, text: str) -> Message | None:
         """The message, or None where it is the robot's own or meant for another.
 
         Raises:
-            MessageError: it is unreadable or has been seen before; it is counted in ``dropped``.
+            MessageError: it is unreadable, has been seen before, or is another robot's that has the same id; it is
+                counted in ``dropped``.
         """
         try:
             message = decode(text)
         except MessageError:
             self.dropped["unreadable"] += 1
             raise
-        if message.robot_id == self._robot_id or message.to not in (self._robot_id, EVERYBODY):
-            return None
         order = (message.time_stamp, message.seq)
+        if message.robot_id == self._robot_id:
+            if self._own and order not in self._own:
+                self.dropped["own_id"] += 1
+                raise MessageError(
+                    f"{message.type}: another robot is called {self._robot_id} too, expected ids to differ"
+                )
+            return None
+        if message.to not in (self._robot_id, EVERYBODY):
+            return None
         if message.robot_id in self._newest and order <= self._newest[message.robot_id]:
             self.dropped["replayed"] += 1
             raise MessageError(

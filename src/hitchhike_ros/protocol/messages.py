@@ -206,7 +206,9 @@ class Driver(PoseFields, Message):
 
 @dataclass(frozen=True, kw_only=True)
 class Ack(Message):
-    """Message ``acknowledges`` of type ``of`` has arrived; a driver adds the place, a rider how it follows.
+    """Message ``acknowledges`` of type ``of`` has arrived; a rider adds how it follows.
+
+    A driver that confirms a lock adds the place, and in how many seconds it will be aligned.
 
     ``seen`` is the marker ahead in its ``base_footprint`` with covariance ``seen_sigma``: it tells where the rider is.
     """
@@ -216,6 +218,7 @@ class Ack(Message):
     of: str
     acknowledges: int
     place: Place = 1
+    in_s: NonNegative = 0.0
     following: bool = True
     gap_m: float | None = None
     seen: Pose2D | None = None
