@@ -452,7 +452,7 @@ class DriverMachine(Machine[DriverState]):
             return
         if ack.of == Driver.type:
             rider.hear(ack, self._now)
-        elif rider in self._leaving():
+        elif ack.of == Decouple.type and rider in self._leaving():
             last = len(self._leaving()) == 1
             self._finish(rider, RIDE_COMPLETED, tell=False)
             if last:
@@ -814,7 +814,7 @@ class DriverMachine(Machine[DriverState]):
     def _go_to_own_goal(self, reason: str = "") -> None:
         """A new order, with an id that no earlier order had, not even one of before a restart."""
         self._goals += 1
-        self._path = None
+        self._path, self._asked = None, {}
         self._own_goal_id = f"{self.robot_id}-{self._goals}-{self._now:.1f}"
         self._go(S.NAVIGATING, reason)
 
