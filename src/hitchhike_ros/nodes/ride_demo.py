@@ -47,6 +47,7 @@ from hitchhike_ros.experiments.ride_report import summary_table
 from hitchhike_ros.experiments.terminal import has_colours
 from hitchhike_ros.simulation.world_file import WorldFile, load_world
 
+_ALWAYS = ("p3dx", "turtlebot")  # as ride.launch has them
 _MASTER_TIMEOUT_S = 30.0
 _MONITOR_END_TIMEOUT_S = 30.0
 # roslaunch itself waits 15 s for a node after SIGINT and 2 s after SIGTERM.
@@ -125,6 +126,7 @@ class Ride:
             ["roslaunch", "-p", str(self._port), "hitchhike_ros", "demo.launch"],
             world=options.world.path,
             map=options.world.map,
+            others=" ".join(_others(options.world)),
             seed=self._seed,
             output=self.folder,
             rviz=str(options.rviz).lower(),
@@ -303,6 +305,11 @@ def _count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value}, expected at least 1")
     return value
+
+
+def _others(world: WorldFile) -> list[str]:
+    """The world's robots that have something to do, beside the two that are always there."""
+    return [name for name, robot in world.robots.items() if name not in _ALWAYS and robot.goal is not None]
 
 
 def _free_port() -> int:
