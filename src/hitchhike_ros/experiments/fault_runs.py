@@ -213,11 +213,11 @@ def _crash(world: GridWorld, luck: random.Random, names: list[str]) -> None:
         return math.inf if luck.random() < 0.3 else luck.uniform(0.5, 60.0)
 
     for name in names:
-        if luck.random() < 0.2:
+        if luck.random() < 0.1:
             _fall_silent(world, name, luck.uniform(5.0, _LAST_MISHAP_S), for_s())
-    for _ in range(luck.randint(1, 2)):
-        after_s = luck.choice((0.0, luck.uniform(0.0, 2.0)))
-        world.observers.append(_Trigger(world, luck.choice(_AWKWARD), luck.random() < 0.5, after_s, for_s()))
+    for _ in range(luck.randint(2, 3)):
+        after_s = luck.choice((0.0, 0.0, luck.uniform(0.0, 2.0)))
+        world.observers.append(_Trigger(world, luck.choice(_AWKWARD), luck.random() < 0.7, after_s, for_s()))
 
 
 def _fall_silent(world: GridWorld, name: str, begin_s: float, for_s: float) -> None:
