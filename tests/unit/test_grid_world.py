@@ -204,6 +204,25 @@ def test_a_goal_that_cannot_be_reached_is_given_up_with_the_reason() -> None:
     assert "too near to an obstacle" in robot.trips[0].reason
 
 
+@pytest.mark.parametrize(("goal", "reached"), [(Pose2D(2.05, 2.0), True), (Pose2D(70.0, 5.1), False)])
+def test_the_end_of_a_goal_is_noticed_at_once_though_beacons_are_rare(goal: Pose2D, reached: bool) -> None:
+    w = world()
+    robot = w.add_robot("solo", Pose2D(2.0, 2.0), parameters(1, beacon_period_s=500.0), [Errand(goal, at_s=1.0)])
+    assert w.run(100.0, w.idle)
+    (trip,) = robot.trips
+    assert trip.reached is reached
+    assert trip.ended_s is not None
+    assert trip.ended_s - 1.0 <= (0.1 if reached else robot.params.planner_patience_s + 1.0)
+
+
+def test_a_robot_that_waits_at_its_place_is_not_ticked_all_the_time() -> None:
+    w = pair()
+    w.robots["driver"].errands.clear()
+    w.run(100.0)
+    assert w.robots["rider"].state_s["requesting"] > 20.0
+    assert w.events < 100.0 * 4 * 4
+
+
 def test_the_same_name_or_marker_twice_is_refused() -> None:
     w = pair()
     with pytest.raises(ValueError, match="driver is there already"):

@@ -36,6 +36,11 @@ class Body:
         self._sees = False
 
     @property
+    def moves(self) -> bool:
+        """Whether it may be somewhere else a moment later."""
+        return self._leader is not None or (self._speed > 0.0 and self.odometer_m < self._s[-1])
+
+    @property
     def speed_mps(self) -> float:
         if self._leader is not None:
             if self.odometer_m < self._target_m() - _TINY_M:
@@ -61,9 +66,9 @@ class Body:
     @property
     def arrives(self) -> float:
         """When it comes to the end of its path; never, where it stands or follows."""
-        if self._leader is not None or self._speed <= 0.0:
+        if self._leader is not None or self._speed <= 0.0 or self.remaining_m <= _TINY_M:
             return math.inf
-        return self.time + max(self.remaining_m, 0.0) / self._speed
+        return self.time + self.remaining_m / self._speed
 
     @property
     def path(self) -> list[tuple[float, float]]:

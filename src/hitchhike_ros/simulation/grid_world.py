@@ -61,6 +61,9 @@ COUPLED_STATES = frozenset({"riding", "seeking", "settling"})
 # Of one that looks for a ride, and goes to where it begins.
 ASKING_STATES = frozenset({"requesting", "locking", "awaiting_aligned", "coupling"})
 
+# Of a ride on which nothing happens; who arrives somewhere, or hears something, looks at once.
+_CRUISING_STATES = frozenset({"aligning", "awaiting_aligned", "driving", "riding"})
+
 # Two events of one robot are not nearer than this, or an arrival could cause itself.
 _LEAST_STEP_S = 0.01
 
@@ -89,6 +92,8 @@ class GridWorldParameters:
     follow_factor: Positive = 1.3
     # Who is engaged looks again after this share of the shortest of its own periods.
     tick_share: Positive = 0.5
+    # The same for those who only drive, with a rider, behind a driver or to where they meet.
+    cruise_share: Positive = 0.5
     # Positions for the radio are not older than this; 0: they are those of now.
     radio_refresh_s: NonNegative = 0.0
     json_messages: bool = True  # as text through the robots' inboxes, or as objects past them
@@ -132,13 +137,15 @@ class _Objects:
         self._newest: dict[str, tuple[float, int]] = {}
 
     def receive(self, message: Message) -> Message | None:
-        order = (message.time_stamp, message.seq)
-        newest = self._newest.get(message.robot_id)
+        return message if self.is_new(message.robot_id, (message.time_stamp, message.seq)) else None
+
+    def is_new(self, sender: str, order: tuple[float, int]) -> bool:
+        newest = self._newest.get(sender)
         if newest is not None and order <= newest:
             self.dropped["replayed"] += 1
-            return None
-        self._newest[message.robot_id] = order
-        return message
+            return False
+        self._newest[sender] = order
+        return True
 
 
 @dataclass(eq=False)
@@ -167,6 +174,7 @@ class GridRobot:
     asked_s: float = 0.0
     alive: bool = True
     # Of the event loop.
+    shortest_s: float = 1.0  # of its own periods
     inbox: Any = None
     status: Status = field(default_factory=lambda: Status(0.0, ""))
     seq: int = 0
@@ -176,6 +184,7 @@ class GridRobot:
     lingers_until: float = -math.inf
     goal_id: str = ""
     goal_error: str | None = None
+    news: bool = False  # its navigation has something to say
     perceives_at_m: float = math.inf  # by its odometer
     followed: tuple[str, int] | None = None
     since: float = 0.0
@@ -264,6 +273,7 @@ class GridWorld:
             traveller=self._traveller(name, params),
             clock_offset_s=clock_offset_s,
             errands=deque(errands),
+            shortest_s=min(params.update_period_s, params.repeat_period_s, params.request_period_s),
         )
         robot.inbox = self._inbox(robot)
         robot.since = robot.metres_at = 0.0
@@ -427,15 +437,16 @@ class GridWorld:
             self._step(robot, message)
 
     def _arrive_beacon(self, beacon: Beacon, robots: Sequence[GridRobot]) -> None:
-        """By far the most frequent: it changes nothing but what is remembered."""
-        now, watched = self.now, bool(self.observers or self.params.trace_events)
+        """By far the most frequent: it changes nothing but what is remembered, so the loop is kept short."""
+        now, sender, order = self.now, beacon.robot_id, (beacon.time_stamp, beacon.seq)
+        watched = bool(self.observers or self.params.trace_events)
         for robot in robots:
-            if robot.alive and robot.inbox.receive(beacon) is not None:
+            if robot.alive and robot.inbox.is_new(sender, order):
                 effects = robot.traveller.step(beacon, now + robot.clock_offset_s)
                 robot.received += 1
-                self.deliveries += 1
                 if watched:
                     self._tell(robot, beacon, effects)
+        self.deliveries += len(robots)
 
     def _step(self, robot: GridRobot, event: object) -> None:
         """The traveller takes the event; its modules do what it wants from then on."""
@@ -463,13 +474,15 @@ class GridWorld:
         due = min(robot.beacon_due, body.arrives)
         if robot.perceives_at_m < math.inf and body.speed_mps > 0.0:
             due = min(due, body.time + (robot.perceives_at_m - body.odometer_m) / body.speed_mps)
-        if robot.engaged or self.now < robot.lingers_until:
+        if robot.news:
+            due, robot.news = soonest, False
+        if robot.engaged or robot.goal_error is not None or self.now < robot.lingers_until:
             due = min(due, self.now + self._period(robot))
         self._schedule(robot, max(due, soonest))
 
     def _period(self, robot: GridRobot) -> float:
-        p = robot.params
-        return self.params.tick_share * min(p.update_period_s, p.repeat_period_s, p.request_period_s)
+        cruises = robot.status.state in _CRUISING_STATES
+        return robot.shortest_s * (self.params.cruise_share if cruises else self.params.tick_share)
 
     # Effects.
 
@@ -530,7 +543,8 @@ class GridWorld:
         radio = self._radio
         if radio is None or self.now - radio[0] > self.params.radio_refresh_s:
             for robot in self._list:
-                robot.body.advance(self.now)
+                if robot.body.moves:
+                    robot.body.advance(self.now)
             flat = [value for robot in self._list for value in (robot.body.x, robot.body.y)]
             places = np.array(flat).reshape(-1, 2)
             radio = self._radio = self.now, places, cKDTree(places)
@@ -558,24 +572,24 @@ class GridWorld:
                 leader.body.advance(self.now)
                 lag = self.params.camera_x_m + servo.gap_m - self.params.marker_x_m
                 body.follow(leader.body, lag, self.params.follow_factor * robot.params.ride_speed_mps)
-                robot.followed, robot.goal_id = order, ""
+                robot.followed, robot.goal_id, robot.goal_error = order, "", None
                 self._look(robot, leader)
             return
         robot.followed = None
         if goal is None or not (status.modules.PP and status.modules.OBS):
             if body.leader is not None or body.speed_mps > 0.0 or robot.goal_id:
                 body.stop()
-            robot.goal_id, robot.perceives_at_m = "", math.inf
+            robot.goal_id, robot.goal_error, robot.perceives_at_m = "", None, math.inf
             return
         speed = min(status.speed_limit_mps or robot.params.cruise_speed_mps, robot.safe_speed_mps)
         if robot.goal_id != goal.id:
             robot.goal_id = goal.id
             if goal.along_wall:
                 body.turn(goal.theta)
-                robot.goal_error = None
+                robot.goal_error, robot.news = None, True
             else:
                 self._drive(robot, speed)
-        elif body.speed_mps != speed:
+        elif body.speed_mps not in (0.0, speed):
             body.set_speed(speed)
 
     def _drive(self, robot: GridRobot, speed: float) -> None:
@@ -584,15 +598,14 @@ class GridWorld:
         assert goal is not None
         end = goal.theta if goal.tolerance_rad < math.pi else None
         if math.hypot(goal.x - body.x, goal.y - body.y) <= 0.5 * goal.tolerance_m:
-            body.stop()
             body.turn(body.theta if end is None else end)
-            robot.goal_error = None
+            robot.goal_error, robot.news = None, True
             return
         try:
             path = self.paths.plan((body.x, body.y), (goal.x, goal.y), robot.known_ids)
         except PlanningError as exc:
             body.stop()
-            robot.goal_error = str(exc)
+            robot.goal_error, robot.news = str(exc), True
             return
         robot.goal_error = None
         body.drive(corners(path), speed, end)
