@@ -80,8 +80,8 @@ _TOLD_STEP_M, _TOLD_M = 0.2, 4.0
 _CATCH_UP_M, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD = 0.4, 0.25, 0.25
 # A hitchhiker within this of the heading of its hitchhiking point is in line; it turns where it stands (chosen).
 _IN_LINE_RAD, _IN_LINE_M = 0.06, 0.25
-# Images of so long a time show it in the gap before it is coupled: four at 10 Hz; the last centimetres it closes at less
-# than this speed, and may close them while the driver sets off (chosen).
+# Images of so long a time show it in the gap before it is coupled: four at 10 Hz. It goes no faster meanwhile, and may
+# close the last centimetres while the driver sets off (chosen).
 _SETTLED_S, _SETTLED_MPS = 0.25, 0.1
 # A marker that is seen nearer than this beyond the gap can be coupled with, a farther one may be behind a corner.
 _COUPLING_REACH_M = 1.2
