@@ -152,17 +152,31 @@ class ModuleChange:
 
 def find_ride(record: RideRecord) -> Ride | None:
     """The first ride that was coupled, else the newest that was asked for, None when nobody asked."""
-    found: Ride | None = None
+    rides = find_rides(record)
+    return next((ride for ride in rides if ride.riding_at is not None), rides[-1] if rides else None)
+
+
+def find_rides(record: RideRecord) -> list[Ride]:
+    """Every ride that was coupled, and of each robot what it asked for last; by robot, then in order of time."""
+    found: list[Ride] = []
     for name, robot in record.robots.items():
         asked_at: float | None = None
+        asked: Ride | None = None
+        coupled: set[str] = set()
         for i, status in enumerate(robot.statuses):
             if status.role != "hitchhiker":
                 asked_at = None
                 continue
             asked_at = status.time_stamp if asked_at is None else asked_at
-            found = _ride_of(record, name, asked_at, robot.statuses[i:])
-            if found.riding_at is not None:
-                return found
+            if status.ride is not None and status.ride.ride_id in coupled:
+                continue
+            asked = _ride_of(record, name, asked_at, robot.statuses[i:])
+            if asked.riding_at is not None and status.ride is not None:
+                coupled.add(status.ride.ride_id)
+                found.append(asked)
+                asked = None
+        if asked is not None:
+            found.append(asked)
     return found
 
 

@@ -1,0 +1,100 @@
+"""Drives scenarios one after the other with the real nodes, and keeps what each run leaves."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from hitchhike_ros.errors import HitchhikeError, InputFileError
+from hitchhike_ros.experiments.ride_record import RideRecord, load_record
+from hitchhike_ros.experiments.ride_scenario import RideScenario, RunResult, ScenarioResult
+from hitchhike_ros.experiments.ride_scores import score
+from hitchhike_ros.nodes.ride_processes import RideProcesses
+from hitchhike_ros.simulation.world_file import WorldFile, load_world
+
+_DEADLINE_S = 1500.0  # wall time of one run on a busy machine (chosen)
+_RESULT = "result.json"
+
+
+class _Kept(msgspec.Struct, frozen=True):
+    """What is kept of a run. ``digest`` is of what was asked for, so that a changed scenario is driven anew."""
+
+    digest: str
+    result: RunResult
+
+
+def drive(
+    scenario: RideScenario, seeds: Sequence[int], output: Path, port: int | None, say: Callable[[str], None]
+) -> ScenarioResult:
+    """All runs of a scenario, those left out that ended well before.
+
+    Raises:
+        HitchhikeError: the scenario's world cannot be used.
+    """
+    runs = []
+    for seed in seeds:
+        folder = output / scenario.name / f"seed-{seed}"
+        folder.mkdir(parents=True, exist_ok=True)
+        world = load_world(scenario.write_world(folder))
+        digest = _digest(scenario, world)
+        result = _kept(folder, digest)
+        if result is None:
+            result = _drive_one(scenario, world, seed, folder, port)
+            _keep(folder, digest, result)
+            say(f"  seed {seed}: {result.trouble or 'as it should end'}, {result.sim_s:.0f} s in {result.wall_s:.0f} s")
+        else:
+            say(f"  seed {seed}: done before, in {folder}")
+        runs.append(result)
+    return ScenarioResult(scenario, tuple(runs))
+
+
+def _drive_one(scenario: RideScenario, world: WorldFile, seed: int, folder: Path, port: int | None) -> RunResult:
+    monitor = {"tables": False, "deadline_s": _DEADLINE_S}
+    (folder / "record.json").unlink(missing_ok=True)
+    trouble = ""
+    with RideProcesses(world, seed, folder, scenario.launch, monitor, port) as ride:
+        try:
+            ride.run()
+        except HitchhikeError as exc:
+            trouble = str(exc)
+    if not (folder / "record.json").is_file():
+        return RunResult(seed, str(folder), "; ".join([trouble or "no record", *ride.trouble()]), (), 0.0, 0.0)
+    record = load_record(folder / "record.json")
+    scored = score(scenario, record, markers_of(world), {name: entry.goal for name, entry in world.robots.items()})
+    sim_s, wall_s = _lasted(record)
+    return RunResult(seed, str(folder), trouble or scored.trouble, scored.figures, sim_s, wall_s)
+
+
+def markers_of(world: WorldFile) -> dict[int, str]:
+    """Whose back carries which marker."""
+    return {entry.marker: name for name, entry in world.robots.items() if entry.marker is not None}
+
+
+def _lasted(record: RideRecord) -> tuple[float, float]:
+    clock = record.clock
+    return (clock[-1].stamp - clock[0].stamp, clock[-1].wall_s - clock[0].wall_s) if clock else (0.0, 0.0)
+
+
+def _digest(scenario: RideScenario, world: WorldFile) -> str:
+    asked = (scenario.launch, scenario.rides, scenario.denial, scenario.end, world)
+    return hashlib.sha256(repr(asked).encode()).hexdigest()
+
+
+def _kept(folder: Path, digest: str) -> RunResult | None:
+    """The run that ended well before, None where there is none."""
+    try:
+        kept = msgspec.json.decode((folder / _RESULT).read_bytes(), type=_Kept)
+    except FileNotFoundError:
+        return None
+    except (OSError, msgspec.MsgspecError) as exc:
+        raise InputFileError(folder / _RESULT, "", str(exc), "what an earlier run left, or no such file") from exc
+    if kept.digest != digest or not kept.result.ok:
+        return None
+    return kept.result
+
+
+def _keep(folder: Path, digest: str, result: RunResult) -> None:
+    (folder / _RESULT).write_bytes(msgspec.json.encode(_Kept(digest, result)))
