@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.protocol.messages import Beacon, Message, PoseFields
@@ -16,10 +16,21 @@ _UNKNOWN_RADIUS_M = 0.4
 class _Heard:
     """Where a robot was last and when that was said, and the last beacon and when it came."""
 
-    robot: KnownRobot | None = None
+    place: Pose2D | None = None
+    radius_m: float = _UNKNOWN_RADIUS_M
     at: float = 0.0
     beacon: Beacon | None = None
     beacon_at: float = 0.0
+    _robot: KnownRobot | None = None  # made when asked for, as beacons come much more often
+
+    def is_at(self, place: Pose2D, now: float) -> None:
+        self.place, self.at, self._robot = place, now, None
+
+    @property
+    def robot(self) -> KnownRobot | None:
+        if self._robot is None and self.place is not None:
+            self._robot = KnownRobot(self.place.x, self.place.y, self.radius_m)
+        return self._robot
 
 
 class Neighbours:
@@ -32,26 +43,27 @@ class Neighbours:
         """Take any message of another robot."""
         if not isinstance(message, Beacon | PoseFields):
             return
-        known = self._heard.setdefault(message.robot_id, _Heard())
+        known = self._heard.get(message.robot_id)
+        if known is None:
+            known = self._heard[message.robot_id] = _Heard()
         if isinstance(message, Beacon):
-            known.beacon, known.beacon_at = message, now
+            known.beacon, known.beacon_at, known.radius_m = message, now, message.radius_m
         pose = message.pose
         if pose is not None:
-            radius = known.beacon.radius_m if known.beacon is not None else _UNKNOWN_RADIUS_M
-            known.robot, known.at = KnownRobot(pose.x, pose.y, radius), now
+            known.is_at(pose, now)
 
     def saw(self, robot_id: str, place: Pose2D, now: float) -> None:
         """A robot was seen at ``place`` in ``map``: what it said last may be metres old."""
         known = self._heard.get(robot_id)
-        if known is not None and known.robot is not None:
-            known.robot, known.at = replace(known.robot, x=place.x, y=place.y), now
+        if known is not None and known.place is not None:
+            known.is_at(place, now)
 
     def robots(self, now: float, timeout_s: float, waiting: str, waiting_s: float) -> tuple[KnownRobot, ...]:
         """Where robots stand that were heard of in the last ``timeout_s``; ``waiting`` is remembered longer."""
         return tuple(
-            known.robot
+            robot
             for name, known in self._heard.items()
-            if known.robot is not None and now - known.at <= (waiting_s if name == waiting else timeout_s)
+            if now - known.at <= (waiting_s if name == waiting else timeout_s) and (robot := known.robot) is not None
         )
 
     def known(self, now: float, timeout_s: float) -> set[str]:

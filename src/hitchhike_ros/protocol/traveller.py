@@ -80,6 +80,9 @@ class Traveller:
 
     def step(self, event: object, now: float) -> list[Effect]:
         """Take a GoalGiven, GoalCancelled, Tick or network Message."""
+        if isinstance(event, Beacon):  # first, as by far the most frequent
+            self.neighbours.hear(event, now)
+            return []
         if isinstance(event, GoalGiven):
             effects = self._drop_goal(now)
             self._pending, self._asks = event.goal, 0
@@ -118,8 +121,6 @@ class Traveller:
 
     def _hear(self, message: Message, now: float) -> list[Effect]:
         self.neighbours.hear(message, now)
-        if isinstance(message, Beacon):
-            return []
         effects = self.hitchhiker.step(message, now)
         if self.booking is not None:
             effects += self.booking.step(message, now)

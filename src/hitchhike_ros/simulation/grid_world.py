@@ -518,25 +518,28 @@ class GridWorld:
                 for time in self.network.deliveries(now, name, robot.name, apart):
                     self._push(max(time, now), self._arrive, (sent, [robot]))
             return
-        robots, aparts = self._in_range(sender)
+        robots = self._in_range(sender)
         if self._plain:
             if robots:
                 self._push(now + self.network.params.delay_s, self._arrive, (sent, robots))
             return
         arrivals: dict[float, list[GridRobot]] = {}
-        for robot, apart in zip(robots, aparts.tolist(), strict=True):
+        places, _ = self._places()
+        here = places[sender.index]
+        for robot in robots:
+            apart = float(np.hypot(*(places[robot.index] - here)))
             for time in self.network.deliveries(now, name, robot.name, apart):
                 arrivals.setdefault(time, []).append(robot)
         for time, those in arrivals.items():
             self._push(max(time, now), self._arrive, (sent, those))
 
-    def _in_range(self, sender: GridRobot) -> tuple[list[GridRobot], np.ndarray]:
-        """Who may hear the robot, in the order in which they were added, and how far away."""
+    def _in_range(self, sender: GridRobot) -> list[GridRobot]:
+        """Who may hear the robot, in the order in which they were added."""
+        reach, robots, own = self.network.params.range_m, self._list, sender.index
+        if math.isinf(reach):
+            return [robot for robot in robots if robot is not sender]
         places, tree = self._places()
-        here, reach, robots, own = places[sender.index], self.network.params.range_m, self._list, sender.index
-        everybody = range(len(robots)) if math.isinf(reach) else sorted(tree.query_ball_point(here, reach))
-        near = [k for k in everybody if k != own]
-        return [robots[k] for k in near], np.hypot(*(places[near] - here).T)
+        return [robots[k] for k in tree.query_ball_point(places[own], reach, return_sorted=True) if k != own]
 
     def _places(self) -> tuple[np.ndarray, cKDTree]:
         """Where all robots are, as the radio sees it."""
