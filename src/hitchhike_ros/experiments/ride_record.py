@@ -69,13 +69,19 @@ class Contact:
 
 @dataclass(frozen=True)
 class CpuSample:
-    """CPU time a node's process has used since it started, and its resident memory."""
+    """CPU time a node's process has used since it started, its resident memory now and at most so far, and what has
+    gone through its connections but to the nodes that only watch."""
 
     stamp: float
     wall_s: float
     node: str
     cpu_s: float
     memory_mb: float
+    peak_mb: float = 0.0
+    messages_in: int = 0
+    bytes_in: int = 0
+    messages_out: int = 0
+    bytes_out: int = 0
 
 
 @dataclass(frozen=True)

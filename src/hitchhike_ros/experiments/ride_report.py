@@ -52,6 +52,8 @@ def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | No
     """Where the run stands, from the newest of everything recorded."""
     sim_s = record.clock[-1].stamp if record.clock else None
     if ride is None:
+        if all(robot.arrived for robot in record.robots.values()):
+            return Progress("Arrived", sim_s=sim_s, real_time_factor=real_time_factor)
         started = any(robot.newest_status is not None for robot in record.robots.values())
         return Progress("Waiting for a request" if started else "Starting", None, sim_s=sim_s)
     rider = record.robots[ride.hitchhiker].newest_status

@@ -27,7 +27,7 @@ import shutil
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -91,6 +91,8 @@ from hitchhike_ros.simulation.world_file import RobotEntry, WorldFile, load_worl
 _PERIOD_S = 0.2
 _CLOCK_PERIOD_S = 1.0
 _DISCOVERY_PERIOD_S = 3.0
+# They only look on: what is sent to them is no cost of a robot's.
+_WATCHERS = ("/ride_monitor", "/record", "/rviz")
 # The real-time factor that is shown is that of so many seconds past.
 _SHOWN_FACTOR_S = 5.0
 # Without these nodes a ride cannot go on.
@@ -133,7 +135,7 @@ class RideMonitor:
         self._sample_due = False
         self._unreadable = 0
         self._shown = ""
-        self._processes = NodeProcesses()
+        self._processes = NodeProcesses(_WATCHERS)
         self._screen = _Screen()
         for name, robot in robots.items():
             self._subscribe(name, robot)
@@ -145,8 +147,8 @@ class RideMonitor:
         """Show and record until the end, then report; the exit status."""
         started = time.monotonic()
         reason = self._watch(started + self._params.deadline_s)
+        self._sample_cpu()
         with self._lock:
-            self._sample_cpu()
             ride = find_ride(self._record)
             step = progress(self._record, ride, None).step
         completed = not reason and ride is not None and ride.decouple_s is not None and step == "Arrived"
@@ -164,15 +166,16 @@ class RideMonitor:
             try:
                 if wall >= next_discovery:
                     next_discovery = wall + _DISCOVERY_PERIOD_S
-                    self._sample_due |= self._processes.discover()
+                    self._processes.discover()
+                    self._sample_due = True
             except (OSError, rosgraph.MasterException) as exc:
                 return f"the ROS master does not answer ({exc})"
+            if self._sample_due:
+                self._sample_cpu()
             with self._lock:
                 if wall >= next_clock and rospy.get_time() > 0.0:
                     next_clock = wall + _CLOCK_PERIOD_S
-                    self._sample_clock(wall)
-                if self._sample_due:
-                    self._sample_cpu()
+                    self._sample_clock(time.monotonic())
                 self._show()
                 active = [robot for robot in self._record.robots.values() if robot.has_goal]
                 if active and all(robot.ended for robot in active):
@@ -189,13 +192,15 @@ class RideMonitor:
         self._record.clock.append(ClockSample(rospy.get_time(), wall))
 
     def _sample_cpu(self) -> None:
+        """Without the lock, for nodes may take their time to answer; the callbacks do not touch these lists."""
         self._sample_due = False
-        now, wall = rospy.get_time(), time.monotonic()
-        if now <= 0.0:
+        if rospy.get_time() <= 0.0:
             return
-        self._sample_clock(wall)
+        self._sample_clock(time.monotonic())
         for use in self._processes.use():
-            self._record.cpu.append(CpuSample(now, wall, use.node, use.cpu_s, use.memory_mb))
+            stamp, wall, traffic = rospy.get_time(), time.monotonic(), astuple(use.traffic)
+            sample = CpuSample(stamp, wall, use.node, use.cpu_s, use.memory_mb, use.peak_mb, *traffic)
+            self._record.cpu.append(sample)
 
     def _show(self) -> None:
         clock = self._record.clock
