@@ -1,8 +1,7 @@
 """What a ride costs its hitchhiker, beside driving the same way alone: CPU, memory, messages and bytes of every module.
 
 Two runs are compared, of the same world, nodes, sensors and seed: one with the ride, and one in which the hitchhiker
-asks for none and drives to its goal by itself. Everything counts that the
-hitchhiker's nodes use, in three ways:
+asks for none and drives to its goal by itself. Everything counts that the hitchhiker's nodes use, in three ways:
 
     ride          from asking for the ride until it drives by itself again, so waiting, coupling, camera, following and
                   handing over, by the metres that it went meanwhile; alone: from where it asked to where it was set

@@ -1,8 +1,11 @@
 """usage: rosrun hitchhike_ros costs RIDE ALONE [--json] [--check]
 
 Prints what a ride costs its hitchhiker, beside driving the same way alone: CPU, memory, messages and bytes of every
-module. Needs no ROS master. RIDE and ALONE are folders (or their record.json) that launch_scripts/demo or experiments
-left: after experiments p17_exp1 p17_exp1_alone --report DIR these are DIR/p17_exp1/seed-0 and DIR/p17_exp1_alone/seed-0.
+module. Needs no ROS master. RIDE and ALONE are what two runs left, folders or record.json: after
+
+  rosrun hitchhike_ros experiments p17_exp1 p17_exp1_alone --report DIR
+
+they are DIR/p17_exp1/seed-0 and DIR/p17_exp1_alone/seed-0.
 
   --json   print the same as JSON
   --check  the exit status says whether every bound holds
