@@ -10,9 +10,10 @@ Subscribed, for each robot of the world file:
     /<robot>/new_obstacles, /<robot>/visual_servoing/observations (std_msgs/String)
 Subscribed:
     /hhike_msg/network (std_msgs/String), /simulator/contacts (std_msgs/String), /diagnostics
+    /<hitchhiker>/camera/image_raw (sensor_msgs/Image): for one frame at each of its steps, and at times on the way
 Parameters:
     ~world (path): true boxes, robots and their goals
-    ~output (path): folder for ride.json, record.json and map.png; made if missing
+    ~output (path): folder for ride.json, record.json, map.png and frames/; made if missing
     ~deadline_s (900): wall time after which the ride counts as failed
     ~tables (bool, true): whether the report on the terminal is more than its verdict
     ~check (bool, false): whether the exit status also says whether every bound holds
@@ -53,6 +54,7 @@ from hitchhike_ros.experiments.ride_figures import (
     node_costs,
     ride_figures,
 )
+from hitchhike_ros.experiments.ride_frames import FramePlan
 from hitchhike_ros.experiments.ride_picture import draw_ride
 from hitchhike_ros.experiments.ride_record import (
     ClockSample,
@@ -80,8 +82,9 @@ from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.protocol.machine import Award
 from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import decode_observations
-from hitchhike_ros.protocol.status import decode_status
+from hitchhike_ros.protocol.status import Status, decode_status
 from hitchhike_ros.robot_model import mount
+from hitchhike_ros.ros_io.camera_frames import CameraFrames
 from hitchhike_ros.ros_io.conversions import estimate_from_msg, pose_from_msg
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
@@ -136,6 +139,7 @@ class RideMonitor:
         self._unreadable = 0
         self._shown = ""
         self._processes = NodeProcesses(_WATCHERS)
+        self._cameras = {name: (CameraFrames(name, self._output), FramePlan()) for name in robots}
         self._screen = _Screen()
         for name, robot in robots.items():
             self._subscribe(name, robot)
@@ -177,9 +181,11 @@ class RideMonitor:
                     next_clock = wall + _CLOCK_PERIOD_S
                     self._sample_clock(time.monotonic())
                 self._show()
+                frames = self._frames_due()
                 active = [robot for robot in self._record.robots.values() if robot.has_goal]
                 if active and all(robot.ended for robot in active):
                     return ""
+            self._take_frames(frames)
             gone = [node for node in self._processes.gone() if node.split("/")[-1] in _ESSENTIAL]
             if gone:
                 return f"{', '.join(gone)} ended"
@@ -187,6 +193,29 @@ class RideMonitor:
                 return f"deadline of {self._params.deadline_s:.0f} s"
             time.sleep(_PERIOD_S)
         return "interrupted"
+
+    def _frames_due(self) -> dict[str, str]:
+        """Robots of whose camera a frame is to be kept now, and the states they are in."""
+        due = {}
+        for name, (camera, plan) in self._cameras.items():
+            status = self._record.robots[name].newest_status
+            if status is not None and not camera.busy and plan.due(status, self._ridden_m(status)):
+                due[name] = status.state
+        return due
+
+    def _take_frames(self, due: dict[str, str]) -> None:
+        for name, (camera, _) in self._cameras.items():
+            camera.step()
+            if name in due:
+                camera.take(due[name])
+
+    def _ridden_m(self, status: Status) -> float:
+        """How far the ride is by now, as its driver has it."""
+        if status.ride is None or status.ride.driver not in self._record.robots:
+            return 0.0
+        driver = self._record.robots[status.ride.driver].newest_status
+        told = driver.ride if driver is not None else None
+        return told.ridden_m if told is not None else 0.0
 
     def _sample_clock(self, wall: float) -> None:
         self._record.clock.append(ClockSample(rospy.get_time(), wall))
