@@ -106,11 +106,11 @@ def figure_table(figures: Sequence[Figure], colours: bool, peer: str = "paper") 
     """Every figure beside its peer's, which are the paper's unless said otherwise, with its bound."""
     rows: list[list[Cell]] = [
         [
-            _label(figure),
-            _number(figure.value, figure.unit, missing="–"),
-            _number(figure.peer, figure.unit),
+            label(figure),
+            number(figure.value, figure.unit, missing="–"),
+            number(figure.peer, figure.unit),
             f"{figure.ratio:.2f}" if figure.ratio is not None else "",
-            _bound(figure),
+            bound(figure),
             _mark(figure.ok),
         ]
         for figure in figures
@@ -131,8 +131,8 @@ def box_table(matches: Sequence[BoxMatch], colours: bool) -> str:
                 match.true.id,
                 _box(match.true),
                 _box(match.found) if match.found is not None else "not found",
-                _number(match.place_m, "m"),
-                _number(match.size_m, "m"),
+                number(match.place_m, "m"),
+                number(match.size_m, "m"),
                 _mark(ok),
             ]
         )
@@ -154,11 +154,11 @@ def summary_table(summaries: Sequence[Summary], seeds: Sequence[int], colours: b
     """Every figure over several runs."""
     rows: list[list[Cell]] = [
         [
-            _label(summary),
-            _number(summary.value, summary.unit, missing="–"),
-            _number(summary.worst, summary.unit, missing="–"),
-            _number(summary.peer, summary.unit),
-            _bound(summary),
+            label(summary),
+            number(summary.value, summary.unit, missing="–"),
+            number(summary.worst, summary.unit, missing="–"),
+            number(summary.peer, summary.unit),
+            bound(summary),
             _mark(summary.ok),
             f"{summary.runs - summary.failed}/{summary.runs}" if summary.bound is not None else "",
         ]
@@ -176,17 +176,20 @@ def _module_texts(modules: ModuleSwitches) -> tuple[Text, ...]:
     return tuple(texts)
 
 
-def _label(figure: Figure | Summary) -> str:
+def label(figure: Figure | Summary) -> str:
+    """A figure's name with its unit, to be read."""
     return figure.name.replace("_", " ") + (f" ({figure.unit})" if figure.unit else "")
 
 
-def _number(value: float | None, unit: str, missing: str = "") -> str:
+def number(value: float | None, unit: str, missing: str = "") -> str:
+    """A value with as many decimals as its unit deserves."""
     if value is None:
         return missing
     return f"{value:.{_DECIMALS.get(unit, 0 if float(value).is_integer() else 2)}f}"
 
 
-def _bound(figure: Figure | Summary) -> str:
+def bound(figure: Figure | Summary) -> str:
+    """``≤ 0.1`` or ``≥ 3``, nothing where there is no bound."""
     if figure.bound is None:
         return ""
     return f"{'≤' if figure.better == 'lower' else '≥'} {figure.bound:g}"
