@@ -147,6 +147,19 @@ def test_messages_as_text_and_as_objects_make_the_same_run() -> None:
     assert history(True) == history(False)
 
 
+def test_a_robot_that_runs_is_not_restarted_nor_one_that_is_down_crashed_again() -> None:
+    w = world()
+    w.run(1.0)
+    traveller = w.robots["driver"].traveller
+    w.restart("driver")
+    assert w.robots["driver"].traveller is traveller
+    told: list[object] = []
+    w.observers.append(lambda _now, name, event, _effects: told.append(event) if name == "driver" else None)
+    w.crash("driver")
+    w.crash("driver")
+    assert told == ["crash"]
+
+
 def test_a_robot_that_crashes_says_nothing_and_goes_on_after_its_restart() -> None:
     w = pair()
     said: list[tuple[float, object]] = []

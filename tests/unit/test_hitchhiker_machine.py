@@ -151,6 +151,17 @@ def test_aligned_may_overtake_the_lost_confirmation_of_the_lock() -> None:
     assert bench.machine.state is S.COUPLING
 
 
+def test_aligned_that_confirms_the_lock_settles_all_offers() -> None:
+    """Found by `bench faults`, seeds 2835 and 9786: offers outlived the ride."""
+    bench = rider_in(S.LOCKING)
+    offer = bench.machine.offer
+    assert offer is not None
+    bench.machine._offers = {name: (replace(offer, robot_id=name), 0.0) for name in (offer.robot_id, "other")}
+    bench.hear(Aligned)
+    assert [m.to for m in bench.take(RequestCancel)] == ["other"]
+    assert bench.machine._offers == {}
+
+
 # Timeouts: every state that waits ends by itself.
 
 

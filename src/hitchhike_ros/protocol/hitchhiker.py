@@ -334,9 +334,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _locked(self, ack: Ack) -> None:
         if ack.of != Lock.type:
             return
-        if self.offer is not None:
-            self._offers.pop(self.offer.robot_id, None)
-        self._cancel_offers()
+        self._cancel_other_offers()
         self._place, self._sent_off, self._lost_way_at, self._heard_at = ack.place, False, None, self._now
         self._agreed_at, self._driver_due_at = self._now, self._now + ack.in_s
         self._way = None if self.meeting is not None else self._turn_into_line()
@@ -365,6 +363,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if self.meeting is not None and not self._in_place():
             self._heard_at = self._now
             return  # the driver says so again
+        self._cancel_other_offers()  # that it is aligned confirms the lock as well
         self._in_gap_since = self._report_at = None
         if aligned.ahead is not None:
             self._plate = aligned.ahead
@@ -682,6 +681,12 @@ class HitchhikerMachine(Machine[HitchhikerState]):
                 plate=self._own_plate,
             )
         )
+
+    def _cancel_other_offers(self) -> None:
+        """Of all but the driver that is taken."""
+        if self.offer is not None:
+            self._offers.pop(self.offer.robot_id, None)
+        self._cancel_offers()
 
     def _cancel_offers(self) -> None:
         """Nobody waits for a hitchhiker that has chosen otherwise."""

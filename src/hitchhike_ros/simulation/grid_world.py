@@ -305,6 +305,8 @@ class GridWorld:
     def crash(self, name: str) -> None:
         """The robot stops where it is, and neither hears nor says anything until it is restarted."""
         robot = self.robots[name]
+        if not robot.alive:
+            return
         robot.body.advance(self.now)
         self._account(robot)
         robot.body.stop()
@@ -312,8 +314,10 @@ class GridWorld:
         self._tell(robot, "crash", ())
 
     def restart(self, name: str) -> None:
-        """A new traveller that remembers nothing but its map, and is given its goal anew."""
+        """A new traveller that remembers nothing but its map, and is given its goal anew; nothing where one runs."""
         robot = self.robots[name]
+        if robot.alive:
+            return
         robot.traveller, robot.inbox, robot.seq = self._traveller(name, robot.params), self._inbox(robot), 0
         robot.alive, robot.key, robot.lingers_until = True, (None, None), -math.inf
         robot.status, robot.since = robot.traveller.status(self.now + robot.clock_offset_s), self.now
