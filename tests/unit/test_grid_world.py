@@ -148,7 +148,7 @@ def test_messages_as_text_and_as_objects_make_the_same_run() -> None:
 
 
 def test_a_robot_that_runs_is_not_restarted_nor_one_that_is_down_crashed_again() -> None:
-    w = world()
+    w = pair()
     w.run(1.0)
     traveller = w.robots["driver"].traveller
     w.restart("driver")
