@@ -37,6 +37,7 @@ import rospkg
 from hitchhike_ros.errors import HitchhikeError
 from hitchhike_ros.experiments.experiment import NAMES, Options, load
 from hitchhike_ros.experiments.figures import Figure, Summary, all_hold
+from hitchhike_ros.experiments.html_report import write_report
 from hitchhike_ros.experiments.ride_report import figure_table, summary_table
 from hitchhike_ros.experiments.ride_scenario import RideScenario, ScenarioResult, in_order, load_scenarios
 from hitchhike_ros.experiments.terminal import has_colours
@@ -129,6 +130,7 @@ def _grid(name: str, arguments: argparse.Namespace, package: Path, report: Path)
 def _leave(report: Path, results: Sequence[ScenarioResult]) -> None:
     """What a person reads of the rides."""
     (report / "rides.json").write_bytes(msgspec.json.format(msgspec.json.encode(list(results)), indent=2))
+    print(f"Report: {write_report(report, results)}", flush=True)
 
 
 def _write_json(arguments: argparse.Namespace, done: Sequence[_Done]) -> None:
