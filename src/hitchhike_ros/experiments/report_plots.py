@@ -29,7 +29,7 @@ KINDS = {
 TROUBLE = "trouble"
 _KIND_OF = {state: kind for kind, states in KINDS.items() for state in states}
 
-_TICKS = 6  # about so many on an axis
+_TICKS = 10  # at most about so many on the axis of time
 _CURVE_POINTS = 400  # of a curve at most: more than a screen shows
 _TRAIL_STEP_M = 0.05
 _HEIGHT = 1000.0  # of the square that a curve's path is drawn in
@@ -226,10 +226,9 @@ def _plot(title: str, unit: str, series: Sequence[Series], axis: TimeAxis) -> Pl
     margin = 0.05 * (high - low) or 0.01
     low, high = (low - margin if low < 0.0 else low), high + margin
     curves = tuple(Curve(s.label, s.index, _path(s, axis, low, high)) for s in series if np.isfinite(s.values).any())
-    ticks = tuple(
-        Tick(round(100.0 * (high - v) / (high - low), 2), f"{v:.2f}" if high - low < 1.0 else f"{v:g}")
-        for v in nice_ticks(low, high, 5)
-    )
+    values_at = nice_ticks(low, high, 5)
+    decimals = max(0, -math.floor(math.log10(values_at[1] - values_at[0]) + 1e-9)) if len(values_at) > 1 else 2
+    ticks = tuple(Tick(round(100.0 * (high - v) / (high - low), 2), f"{v:.{decimals}f}") for v in values_at)
     return Plot(title, unit, ticks, curves)
 
 

@@ -41,8 +41,8 @@ class FramePlan:
         self._servoing_at = 0.0
         self._next_m = 0.0
 
-    def due(self, status: Status, ridden_m: float) -> bool:
-        """Whether to take a frame now, at the robot's newest ``status`` and after ``ridden_m`` of its ride.
+    def due(self, status: Status, ridden_m: float, now: float) -> bool:
+        """Whether to take a frame at ``now``, with the robot's newest ``status`` and after ``ridden_m`` of its ride.
 
         Whoever asks takes it: each step counts once.
         """
@@ -55,7 +55,7 @@ class FramePlan:
         step = (ride_id, status.state)
         new = (rides and step not in self._seen and status.state not in _UNSEEN) or (rode and not rides)
         ride_m = status.ride.ride_m if status.ride is not None else 0.0
-        if new and status.modules.VS and status.time_stamp < self._servoing_at + _SERVOING_STARTS_S:
+        if new and status.modules.VS and now < self._servoing_at + _SERVOING_STARTS_S:
             return False
         if new and status.state == "riding":
             self._next_m = _spacing(ride_m)

@@ -196,10 +196,10 @@ class RideMonitor:
 
     def _frames_due(self) -> dict[str, str]:
         """Robots of whose camera a frame is to be kept now, and the states they are in."""
-        due = {}
+        now, due = rospy.get_time(), {}
         for name, (camera, plan) in self._cameras.items():
             status = self._record.robots[name].newest_status
-            if status is not None and not camera.busy and plan.due(status, self._ridden_m(status)):
+            if status is not None and not camera.busy and plan.due(status, self._ridden_m(status), now):
                 due[name] = status.state
         return due
 
