@@ -3,7 +3,7 @@ measured."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -143,8 +143,3 @@ def load_scenarios(folder: Path) -> dict[str, RideScenario]:
 def in_order(scenarios: Iterable[RideScenario]) -> list[RideScenario]:
     """Those that are compared with others after these."""
     return sorted(scenarios, key=lambda scenario: bool(scenario.alone_of))
-
-
-def failed(results: Sequence[ScenarioResult]) -> list[str]:
-    """Names of scenarios of which a run did not end as it should."""
-    return [result.scenario.name for result in results if not result.ok]

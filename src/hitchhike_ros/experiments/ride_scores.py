@@ -76,11 +76,17 @@ class Score:
 
 
 def score(
-    scenario: RideScenario, record: RideRecord, markers: Mapping[int, str], goals: Mapping[str, Pose2D | None]
+    scenario: RideScenario,
+    record: RideRecord,
+    markers: Mapping[int, str],
+    goals: Mapping[str, Pose2D | None],
+    local: bool = True,
 ) -> Score:
-    """Judge a run. ``markers`` says whose back carries which, ``goals`` (in ``map``) where everybody was sent."""
+    """Judge a run. ``markers`` says whose back carries which, ``goals`` (in ``map``) where everybody was sent, and
+    ``local`` that rides were arranged at hitchhiking points (P17).
+    """
     rides = network_rides(record, markers)
-    figures = [*_ride_figures(scenario, record, rides)]
+    figures = [*_ride_figures(scenario, record, rides, local)]
     if scenario.denial is not None:
         figures += _denial_figures(record, scenario.denial)
     figures += [
@@ -114,14 +120,15 @@ def _there_since(robot: RobotRecord, since: float, riding_at: float) -> float | 
     return float(track[away[-1] + 1, 0]) if len(away) else since
 
 
-def _ride_figures(scenario: RideScenario, record: RideRecord, rides: Sequence[NetworkRide]) -> Iterator[Figure]:
+def _ride_figures(
+    scenario: RideScenario, record: RideRecord, rides: Sequence[NetworkRide], local: bool
+) -> Iterator[Figure]:
     timed = {(ride.hitchhiker, ride.riding_at): ride for ride in find_rides(record) if ride.riding_at is not None}
     several = len(scenario.rides) > 1
     for i, expected in enumerate(scenario.rides):
         ride = _found(rides, expected)
         prefix = f"{_label(scenario, expected, i)}_" if several else ""
         found = None if ride is None else timed.get((ride.hitchhiker, ride.riding_at))
-        local = scenario.world.get("hitchhiking", {}).get("mode", "local") == "local"
         taken = Steps(None, None, None, 0.0) if found is None else steps(record, found, local)
         for figure in _of_ride(expected, ride, taken):
             yield replace(figure, name=prefix + figure.name) if prefix else figure

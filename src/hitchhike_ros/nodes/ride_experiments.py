@@ -63,7 +63,10 @@ def _drive_one(scenario: RideScenario, world: WorldFile, seed: int, folder: Path
     if not (folder / "record.json").is_file():
         return RunResult(seed, str(folder), "; ".join([trouble or "no record", *ride.trouble()]), (), 0.0, 0.0)
     record = load_record(folder / "record.json")
-    scored = score(scenario, record, markers_of(world), {name: entry.goal for name, entry in world.robots.items()})
+    goals = {name: entry.goal for name, entry in world.robots.items()}
+    # The mode may stand in the file that the scenario's world is based on.
+    local = all(entry.hitchhiking.get("mode", "local") == "local" for entry in world.robots.values())
+    scored = score(scenario, record, markers_of(world), goals, local)
     sim_s, wall_s = _lasted(record)
     return RunResult(seed, str(folder), trouble or scored.trouble, scored.figures, sim_s, wall_s)
 
