@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 from pathlib import Path
 
@@ -61,9 +62,7 @@ def test_a_wall_is_where_it_stands_and_the_way_there_is_free(yaw: float) -> None
 
 def test_what_is_gone_is_freed_and_what_is_far_is_not_there() -> None:
     here = looking(0.0, 0.0, 0.0)
-    seen = read_voxels(mapped((wall(2.0), here)).file())
-    assert len(seen.sides) > 0
-    assert not len(read_voxels(mapped((wall(2.0), here), *[(wall(3.5), here)] * 9).file()).sides) == 0
+    assert read_voxels(mapped((wall(2.0), here)).file()).centres[:, 0].max() < 2.2
     later = read_voxels(mapped((wall(2.0), here), *[(wall(3.5), here)] * 9).file())
     assert later.centres[:, 0].min() > 3.3
     assert len(read_voxels(mapped((wall(4.5), here)).file()).sides) == 0
@@ -128,23 +127,23 @@ def test_octomap_tools_read_the_same_voxels(name: str, tmp_path: Path) -> None:
     voxels = save(FILES[name], tmp_path / "map.bt")
     assert (tmp_path / "map.bt").read_bytes() == FILES[name]
     subprocess.run(["bt2vrml", "map.bt"], cwd=tmp_path, check=True, capture_output=True, timeout=60)
-    ours = set(map(tuple, np.round(np.column_stack((voxels.centres, voxels.sides)), 3).tolist()))
-    theirs, side = set(), 0.0
-    for line in (tmp_path / "map.bt.wrl").read_text(encoding="ascii").splitlines():
-        words = line.replace("}", " ").split()
-        if "translation" in words:
-            at = words.index("translation")
-            centre = tuple(round(float(v), 3) for v in words[at + 1 : at + 4])
-        if "size" in words:
-            side = float(words[words.index("size") + 1])
-            theirs.add((*centre, round(side, 3)))
-    assert len(theirs) == len(voxels.sides) > 0
-    assert {row[:3] for row in theirs} == {row[:3] for row in ours}
+    centre = re.compile(r"translation (\S+) (\S+) (\S+)")
+    text = (tmp_path / "map.bt.wrl").read_text(encoding="ascii")
+    theirs = np.array([match.groups() for match in centre.finditer(text)], dtype=float)
+    assert len(theirs) > 0
+    assert sorted(np.round(theirs, 2).tolist()) == sorted(np.round(voxels.centres, 2).tolist())
+
+
+@pytest.mark.parametrize("name", ["wall", "noise"])
+def test_the_library_reads_a_file_and_writes_the_same(name: str, tmp_path: Path) -> None:
+    save(FILES[name], tmp_path / "map.bt")
+    subprocess.run(["convert_octree", "map.bt", "again.bt"], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    assert (tmp_path / "again.bt").read_bytes() == FILES[name]
 
 
 def test_a_file_that_was_cut_or_changed_is_refused() -> None:
     content = FILES["noise"]
-    for end in [*range(0, 200), *range(200, len(content), 37), len(content) - 1]:
+    for end in [*range(200), *range(200, len(content), 37), len(content) - 1]:
         with pytest.raises(MapFileError):
             read_voxels(content[:end])
     for more in (b"\0", b"\n", content):
@@ -189,7 +188,7 @@ def test_a_tree_without_end_is_refused_before_it_fills_the_stack() -> None:
     bottomless = header + b"size 400001\nres 0.1\ndata\n" + b"\x03\x00" * 400_000
     with pytest.raises(MapFileError, match="deeper than 16 levels"):
         read_voxels(bottomless)
-    with pytest.raises(MapFileError, match="as many nodes as follow|as 4 bytes of them follow"):
+    with pytest.raises(MapFileError, match="as 4 bytes of them follow"):
         read_voxels(header + b"size 0\nres 0.1\ndata\n" + b"\0\0\0\0")
 
 

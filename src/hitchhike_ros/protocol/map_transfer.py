@@ -170,7 +170,7 @@ class MapSender(_Side):
         """Asks how it stands when a hitchhiker that has begun is quiet: what it said last may be lost."""
         if self._give_up(now) or self.transfer.state != "moving":
             return []
-        if 0.0 <= now - max(self._progress_at, self._nudged_at) < 2.0 * self.params.retry_s:
+        if 0.0 <= now - max(self._progress_at, self._nudged_at) < self.params.retry_s:
             return []
         self._nudged_at = now
         return [self._offer()]
