@@ -8,7 +8,8 @@ Subscribed:
     hhike_msg/status (std_msgs/String): whether the robot carries a rider, or rides
     camera/depth/image_raw (sensor_msgs/Image: 32FC1 in m or 16UC1 in mm, rectified), camera/depth/camera_info
         (sensor_msgs/CameraInfo), amcl_pose (geometry_msgs/PoseWithCovarianceStamped): only while it carries one
-    /hhike_msg/network (std_msgs/String), or ~network_in: only from the ride until the map has arrived
+    /hhike_msg/network (std_msgs/String), or ~network_in: only from the end of a ride until it
+        is known that the map has arrived, or that it does not
 Published:
     /hhike_msg/network (std_msgs/String), or ~network_out: map_request, map_offer, map_piece, map_ack
     octomap_binary (std_msgs/UInt8MultiArray, latched): the newest map as a .bt file: of its own ride as a driver when
@@ -179,7 +180,7 @@ class Mapping3D:
             self._depth = None
             self._poses.clear()
         sharing = bool(self._senders) or self._receiver is not None
-        self._ear.set(sharing or bool(self._carried))
+        self._ear.set(sharing)
         if (carries or sharing) == (self._timer is not None):
             return
         if self._timer is None:
