@@ -15,7 +15,11 @@ LAYERS = {
     **dict.fromkeys(("simulation", "experiments"), 2),
     **dict.fromkeys(("ros_io", "nodes"), 3),
 }
-COMPILED = {"_grid_search": "planning", "_visp_tracker": "servoing"}  # module: the only package that imports it
+COMPILED = {
+    "_grid_search": "planning",
+    "_octree": "mapping",
+    "_visp_tracker": "servoing",
+}  # module: the only package that imports it
 ROS = {
     *("actionlib", "cv_bridge", "diagnostic_updater", "message_filters", "rosbag", "rosgraph", "roslaunch", "roslib"),
     *("rosnode", "rosparam", "rospkg", "rospy", "rosservice", "rostest", "rostopic", "tf", "tf2_py", "tf2_ros"),

@@ -39,7 +39,6 @@ from dataclasses import replace
 from typing import Any
 
 import msgspec
-import rosgraph.names
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
@@ -48,7 +47,7 @@ from std_msgs.msg import String
 
 from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.datatypes import FloatArray, Pose2D, PoseEstimate
-from hitchhike_ros.errors import MessageError, ParameterError, PlanningError, SensorDataError, WorldFileError
+from hitchhike_ros.errors import MessageError, PlanningError, SensorDataError, WorldFileError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import load_hitchhiking, load_sites
@@ -82,7 +81,7 @@ from hitchhike_ros.ros_io.conversions import (
 )
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
 from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, run
-from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path_parameter
 
 # An estimate older than this is no longer the robot's pose (s).
 _ESTIMATE_AGE_S = 1.0
@@ -125,13 +124,13 @@ class HitchhikeComm:
 
         self._awards = AwardKeeper(robot_id)
 
-        self._network = rospy.Publisher(_topic("network_out"), String, queue_size=50, tcp_nodelay=True)
+        self._network = rospy.Publisher(network_topic("network_out"), String, queue_size=50, tcp_nodelay=True)
         self._status = rospy.Publisher("hhike_msg/status", String, queue_size=10, latch=True, tcp_nodelay=True)
         self._obstacles = rospy.Publisher("hhike_msg/new_obstacles", String, queue_size=10)
         self._award = rospy.Publisher("hhike_msg/award", String, queue_size=10, latch=True)
         self._initialpose = rospy.Publisher("initialpose", PoseWithCovarianceStamped, queue_size=10)
         subscriptions: tuple[tuple[str, Any, Any], ...] = (
-            (_topic("network_in"), String, self._on_network),
+            (network_topic("network_in"), String, self._on_network),
             ("amcl_pose", PoseWithCovarianceStamped, self._on_estimate),
             ("odom", OdometryMsg, self._on_odometry),
             ("map", OccupancyGridMsg, self._on_map),
@@ -299,18 +298,6 @@ class HitchhikeComm:
         if now - self._logged.get(sender, -math.inf) >= _LOG_PERIOD_S:
             self._logged[sender] = now
             rospy.logwarn("from %s: %s", sender, text)
-
-
-def _topic(name: str) -> str:
-    """The topic that private parameter ``name`` says.
-
-    Raises:
-        ParameterError: it is no name of a topic.
-    """
-    topic = rospy.get_param(f"~{name}", "/hhike_msg/network")
-    if not isinstance(topic, str) or not rosgraph.names.is_legal_name(topic) or not topic:
-        raise ParameterError(rospy.get_name(), f"~{name}", topic, "the name of a topic")
-    return topic
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 
 from hitchhike_ros.errors import MessageError
-from hitchhike_ros.protocol.messages import EVERYBODY, Message, decode
+from hitchhike_ros.protocol.messages import EVERYBODY, MapMessage, Message, decode
 
 # So many of its own messages a robot knows again when they come back to it (chosen).
 _OWN = 1000
@@ -26,7 +26,9 @@ class Inbox:
         self._own.append((message.time_stamp, message.seq))
 
     def receive(self, text: str) -> Message | None:
-        """The message, or None where it is the robot's own or meant for another.
+        """The message, or None where it is the robot's own, meant for another, or of the transfer of a map.
+
+        Another node of a robot sends its map: what that says has its own ``seq``, and overtakes nothing said here.
 
         Raises:
             MessageError: it is unreadable, has been seen before, or is another robot's that has the same id; it is
@@ -37,6 +39,8 @@ class Inbox:
         except MessageError:
             self.dropped["unreadable"] += 1
             raise
+        if isinstance(message, MapMessage):
+            return None
         order = (message.time_stamp, message.seq)
         if message.robot_id == self._robot_id:
             if self._own and order not in self._own:

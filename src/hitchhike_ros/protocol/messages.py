@@ -247,6 +247,73 @@ class Terminate(Message):
     reason: str
 
 
+# Of the transfer of a 3D map (chosen): bytes of a piece before base64, pieces asked for at a time, and bytes of the
+# whole, compressed and not.
+LEAST_PIECE, LARGEST_PIECE, MOST_ASKED = 1 << 10, 1 << 15, 64
+LARGEST_PACKED, LARGEST_MAP = 1 << 24, 1 << 26
+_MOST_PIECES = LARGEST_PACKED // LEAST_PIECE
+MapId = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+PieceIndex = Annotated[int, msgspec.Meta(ge=0, lt=_MOST_PIECES)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapMessage(Message):
+    """What two nodes mapping_3d say to each other (P17 §7.4); the machines of the ride do not hear it.
+
+    ``ride_id`` is that of the ride on which the map was made. A map's id is the SHA-256 of its .bt file.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapRequest(MapMessage):
+    """The hitchhiker asks which map there is, or, with the ``map_id`` of an offer, for pieces of that one."""
+
+    type = "map_request"
+
+    map_id: Annotated[str, msgspec.Meta(pattern="^([0-9a-f]{64})?$")] = ""
+    pieces: Annotated[tuple[PieceIndex, ...], msgspec.Meta(max_length=MOST_ASKED)] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOffer(MapMessage):
+    """The driver has a map of ``map_bytes``, in zlib's format ``packed_bytes``, in pieces of ``piece_bytes``."""
+
+    type = "map_offer"
+
+    map_id: MapId
+    map_bytes: Annotated[int, msgspec.Meta(ge=1, le=LARGEST_MAP)]
+    packed_bytes: Annotated[int, msgspec.Meta(ge=1, le=LARGEST_PACKED)]
+    piece_bytes: Annotated[int, msgspec.Meta(ge=LEAST_PIECE, le=LARGEST_PIECE)]
+
+    @property
+    def pieces(self) -> int:
+        """How many there are; the last may be shorter than the others."""
+        return -(-self.packed_bytes // self.piece_bytes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapPiece(MapMessage):
+    """Bytes of a packed map from ``index`` times its ``piece_bytes`` on, base64 in JSON, and their CRC-32."""
+
+    type = "map_piece"
+
+    map_id: MapId
+    index: PieceIndex
+    crc32: Annotated[int, msgspec.Meta(ge=0, le=0xFFFFFFFF)]
+    data: Annotated[bytes, msgspec.Meta(min_length=1, max_length=LARGEST_PIECE)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapAck(MapMessage):
+    """The hitchhiker has the map, whole; or it does not want it, or no longer, with the reason."""
+
+    type = "map_ack"
+
+    map_id: MapId
+    arrived: bool
+    reason: str = ""
+
+
 MESSAGE_TYPES: dict[str, type[Message]] = {
     cls.type: cls
     for cls in (
@@ -264,11 +331,13 @@ MESSAGE_TYPES: dict[str, type[Message]] = {
         Terminate,
     )
 }
+MAP_MESSAGES: dict[str, type[MapMessage]] = {cls.type: cls for cls in (MapRequest, MapOffer, MapPiece, MapAck)}
+_ALL_TYPES: dict[str, type[Message]] = {**MESSAGE_TYPES, **MAP_MESSAGES}
 
 
 # msgspec crashes when two threads are the first to use a type, and some types are in several messages: all are made
 # ready now.
-for _cls in MESSAGE_TYPES.values():
+for _cls in _ALL_TYPES.values():
     msgspec.json.Decoder(_cls)
 
 
@@ -294,9 +363,9 @@ def decode(text: str) -> Message:
     if str(content.get("version")) != str(VERSION):
         raise MessageError(f"version {content.get('version')!r}, expected {VERSION}")
     kind = content.get("type")
-    cls = MESSAGE_TYPES.get(kind) if isinstance(kind, str) else None
+    cls = _ALL_TYPES.get(kind) if isinstance(kind, str) else None
     if cls is None:
-        raise MessageError(f"type {kind!r}, expected one of {', '.join(MESSAGE_TYPES)}")
+        raise MessageError(f"type {kind!r}, expected one of {', '.join(_ALL_TYPES)}")
     try:
         message = msgspec.convert(content, cls, strict=False)
     except msgspec.ValidationError as exc:
@@ -338,7 +407,7 @@ def _names(cls: type[Any]) -> tuple[str, ...]:
 # Of each class, the fields that may hold a pose, or a plate with one.
 _FIELDS_OF_POSES = {
     cls: tuple(f.name for f in fields(cls) if "Pose2D" in str(f.type) or "Plate" in str(f.type))
-    for cls in (*MESSAGE_TYPES.values(), Plate)
+    for cls in (*_ALL_TYPES.values(), Plate)
 }
 
 

@@ -99,7 +99,13 @@ class Status:
         """Whether the robot drives with a hitchhiker coupled behind it, and so drives gently."""
         return self.role == "driver" and self.state in CARRYING_STATES
 
+    @property
+    def rides(self) -> bool:
+        """Whether the robot is coupled to its driver, or was and wants to be again."""
+        return self.role == "hitchhiker" and self.state in RIDING_STATES
 
+
+RIDING_STATES = frozenset({"riding", "seeking", "locating", "catching_up", "recoupling", "settling"})
 CARRYING_STATES = frozenset({"driving", "waiting_for_rider"})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 import rospy
 from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, Twist, Vector3
 from nav_msgs.msg import MapMetaData, Path
@@ -154,6 +155,27 @@ def image_from_msg(msg: Image) -> np.ndarray:
     rows = np.frombuffer(msg.data, np.uint8, msg.step * msg.height).reshape(msg.height, msg.step)
     pixels = rows[:, : msg.width * channels]
     return pixels if channels == 1 else pixels.reshape(msg.height, msg.width, channels)
+
+
+def depth_from_msg(msg: Image) -> npt.NDArray[np.float32]:
+    """Depth (H, W) in m, NaN where there is none: of 32FC1, or of 16UC1 in mm with 0 for none (REP 118).
+
+    Raises:
+        SensorDataError: unknown encoding, or the data is shorter than the header says.
+    """
+    if msg.encoding not in ("32FC1", "16UC1"):
+        raise SensorDataError(f"depth image encoding {msg.encoding!r}, expected one of 32FC1, 16UC1")
+    dtype = np.dtype("f4" if msg.encoding == "32FC1" else "u2").newbyteorder(">" if msg.is_bigendian else "<")
+    width = msg.width * dtype.itemsize
+    if msg.height == 0 or msg.width == 0 or msg.step < width or len(msg.data) < msg.step * msg.height:
+        raise SensorDataError(
+            f"depth image of {len(msg.data)} bytes, expected {msg.height} rows of {msg.width} {msg.encoding}"
+        )
+    rows = np.frombuffer(msg.data, np.uint8, msg.step * msg.height).reshape(msg.height, msg.step)
+    values = np.ascontiguousarray(rows[:, :width]).view(dtype)
+    if msg.encoding == "32FC1":
+        return values.astype(np.float32)
+    return np.where(values == 0, np.float32(np.nan), values.astype(np.float32) / np.float32(1000.0))
 
 
 def image_to_msg(image: np.ndarray, stamp: float, frame_id: str, encoding: str) -> Image:

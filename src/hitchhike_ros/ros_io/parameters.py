@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TypeVar
 
+import rosgraph.names
 import rospy
 
 from hitchhike_ros.errors import ParameterError
@@ -40,6 +41,18 @@ def path_parameter(name: str) -> Path:
     if not value or not path.is_file():
         raise ParameterError(rospy.get_name(), f"~{name}", value, "the path of an existing file")
     return path
+
+
+def network_topic(name: str) -> str:
+    """The topic that private parameter ``name`` says, where the robots talk with each other.
+
+    Raises:
+        ParameterError: it is no name of a topic.
+    """
+    topic = rospy.get_param(f"~{name}", "/hhike_msg/network")
+    if not isinstance(topic, str) or not rosgraph.names.is_legal_name(topic) or not topic:
+        raise ParameterError(rospy.get_name(), f"~{name}", topic, "the name of a topic")
+    return topic
 
 
 def frame(name: str) -> str:
