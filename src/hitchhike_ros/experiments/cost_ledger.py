@@ -196,7 +196,7 @@ def window_between(robot: RobotRecord, start: Pose2D, end: Pose2D) -> Window | N
     if run is None:
         return None
     track = [pose for pose in robot.truth if run[0] <= pose.stamp <= run[1]]
-    times = []
+    times: list[float] = []
     for place in (start, end):
         track = [pose for pose in track if not times or pose.stamp > times[-1]]
         if not track:
