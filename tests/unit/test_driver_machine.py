@@ -31,7 +31,7 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
-from hitchhike_ros.protocol.status import ModuleSwitches
+from hitchhike_ros.protocol.status import ANY_MARKER, ModuleSwitches, ServoCommand
 
 S = DriverState
 
@@ -456,3 +456,10 @@ def test_no_message_and_no_lack_of_knowledge_raises(state: DriverState, cls: typ
         bench.hear(cls, ride_id="")
         bench.wait(1.0)
         assert bench.machine.state in S
+
+
+def test_the_camera_looks_for_markers_on_the_way_when_it_is_to() -> None:
+    machine = driver_in(S.NAVIGATING, watch_markers=True).machine
+    assert machine.servo == ServoCommand("observe", ANY_MARKER)
+    assert machine.modules.VS
+    assert driver_in(S.DRIVING, watch_markers=True).machine.servo is None

@@ -15,7 +15,7 @@ Subscribed:
     odom (nav_msgs/Odometry): only while the module is on
     scan (sensor_msgs/LaserScan): likewise, where there is a config and the URDF has a laser: what comes between is
         braked for
-Published, once an image:
+Published, once an image, or every other one while it follows steadily:
     visual_servoing/observations (std_msgs/String): JSON of all markers seen, in base_footprint
     visual_servoing/object_position (geometry_msgs/PoseStamped), object_position_covariance
         (geometry_msgs/PoseWithCovarianceStamped): the marker in the frame of the image; x is its outward normal, z up
@@ -23,7 +23,7 @@ Published, once an image:
     visual_servoing/code_message (std_msgs/String): family and id, e.g. ``36h11 id: 0``, or what the QR code says
     visual_servoing/image_annotated (sensor_msgs/Image): only when somebody subscribes
 Published while the task is to follow:
-    cmd_vel/servoing (geometry_msgs/Twist): after each image, and a stand when images are missing
+    cmd_vel/servoing (geometry_msgs/Twist): likewise, and a stand when images are missing
 Always:
     /diagnostics (diagnostic_msgs/DiagnosticArray): what is followed, or why the robot stands
 Parameters:
@@ -61,7 +61,7 @@ from hitchhike_ros.errors import ParameterError, SensorDataError, VisionError
 from hitchhike_ros.geometry import pose_from_matrix
 from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.observations import encode_observations
-from hitchhike_ros.protocol.status import ServoCommand, Status
+from hitchhike_ros.protocol.status import ANY_MARKER, ServoCommand, Status
 from hitchhike_ros.robot_model import RobotLimits, fixed_transforms, mount
 from hitchhike_ros.ros_io.conversions import (
     camera_info_from_msg,
@@ -86,7 +86,6 @@ from hitchhike_ros.servoing.marker_detector import (
 from hitchhike_ros.servoing.marker_tracker import MarkerTracker, MarkerTrackerParameters
 from hitchhike_ros.servoing.qr_codes import code_id
 
-ANY_MARKER = -1
 # States of visp_auto_tracker. Its 2, 4 and 5 are steps of one image's work here.
 NO_IMAGE, SEEKING, SEEN = 0, 1, 3
 # What following says of itself; the rest are errors.
@@ -107,6 +106,15 @@ class VisualServoingParameters:
     """How often that is looked at (chosen)."""
     start_s: Positive = 1.0
     """For so long after being switched on, what is missing is not called an error (chosen)."""
+    steady_period_s: Positive = 0.19
+    """While it follows steadily, an image that comes sooner than this after the one looked at last is left alone: at
+    10 Hz every other one (chosen)."""
+    steady_gap_m: Positive = 0.04
+    """It follows steadily when it is no farther off its gap than this (chosen)"""
+    steady_speed_mps: Positive = 0.25
+    """and drives at least so fast: starting and stopping takes every image (chosen)"""
+    steady_yaw_rate_rps: Positive = 0.15
+    """and hardly turns (chosen)."""
 
 
 class VisualServoing:
@@ -136,6 +144,8 @@ class VisualServoing:
         self._lens = ""
         self._odometry_problem = ""
         self._on_since = self._image_at = 0.0
+        self._looked_at = 0.0  # stamp of the newest image that was searched
+        self._steady: Twist2D | None = None  # the command, while it is to stay as it is for a while
         self._timer: rospy.Timer | None = None
 
         self._commands = rospy.Publisher("cmd_vel/servoing", Twist, queue_size=1, tcp_nodelay=True)
@@ -210,6 +220,7 @@ class VisualServoing:
             followed = (before.task, before.marker_id) if before is not None else None
             if servo is None or (servo.task, servo.marker_id) != followed:
                 self._tracker.reset()
+                self._steady = None
                 if self._law is not None:
                     self._law.reset()
                 if before is not None and before.task == "follow":
@@ -264,6 +275,10 @@ class VisualServoing:
                 return
             self._image_at = rospy.get_time()
             stamp = msg.header.stamp.to_sec()
+            if self._needless(stamp):
+                self._answer(stamp)
+                return
+            self._looked_at = stamp
             problem, detections = "", []
             try:
                 detections = self._detect(msg, servo, stamp)
@@ -276,6 +291,12 @@ class VisualServoing:
             self._step(servo, seen, problem)
             self._publish(msg, stamp, observations, target, bool(problem))
             self._answer(stamp)
+
+    def _needless(self, stamp: float) -> bool:
+        """Whether an image may be left alone; not one from which the robot had to brake for what comes between."""
+        if self._steady is None or not 0.0 <= stamp - self._looked_at < self._params.steady_period_s:
+            return False
+        return self._guard is None or not self._guard.limit(rospy.get_time(), self._steady)[1]
 
     def _detect(self, msg: Image, servo: ServoCommand, stamp: float) -> list[MarkerDetection]:
         if self._unusable:
@@ -306,7 +327,7 @@ class VisualServoing:
         now = rospy.get_time()
         # The first image may come before the first camera_info.
         bad = ERROR if now - self._on_since > self._params.start_s else WARN
-        self._following = ""
+        self._following, self._steady = "", None
         if servo.task != "follow":
             self._diagnostics.set(bad if problem else OK, problem or "observing")
             return
@@ -320,10 +341,23 @@ class VisualServoing:
         self._following = decision.state
         twist, guarded = (decision.twist, False) if self._guard is None else self._guard.limit(now, decision.twist)
         self._commands.publish(twist_to_msg(twist))
+        if seen is not None and not guarded and self._follows_steadily(decision, servo.gap_m):
+            self._steady = twist
         level = _LEVELS.get(decision.state, bad)
         gap = "" if decision.gap_m is None else round(decision.gap_m, 3)
         message = f"{decision.state}: {decision.reason}" if decision.reason else decision.state
         self._diagnostics.set(level, message, gap_m=gap, braked_for_an_obstacle=guarded)
+
+    def _follows_steadily(self, decision: Decision, gap_m: float) -> bool:
+        """Whether the command may stay as it is for an image."""
+        p = self._params
+        return (
+            decision.state == "following"
+            and decision.gap_m is not None
+            and abs(decision.gap_m - gap_m) <= p.steady_gap_m
+            and decision.twist.v >= p.steady_speed_mps
+            and abs(decision.twist.omega) <= p.steady_yaw_rate_rps
+        )
 
     def _watch(self, _event: rospy.timer.TimerEvent) -> None:
         """Images that stay away must not leave the robot driving."""

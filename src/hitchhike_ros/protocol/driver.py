@@ -52,7 +52,7 @@ from hitchhike_ros.protocol.messages import (
     covariance_rows,
 )
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
-from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatus, ServoCommand
+from hitchhike_ros.protocol.status import ANY_MARKER, GoalCommand, ModuleSwitches, RideStatus, ServoCommand
 
 INVALID_PLACE = "Invalid HH place"
 PATH_TOO_SHORT = "Path too short"
@@ -226,7 +226,9 @@ class DriverMachine(Machine[DriverState]):
 
     @property
     def servo(self) -> ServoCommand | None:
-        """While it aligns, the driver looks for the marker of the hitchhiking point."""
+        """While it aligns, the driver looks for the marker of the hitchhiking point; by itself for any, if it is to."""
+        if self.state is S.NAVIGATING and self.params.watch_markers:
+            return ServoCommand("observe", ANY_MARKER)
         if self.state is not S.ALIGNING or self.offer is None or self.offer.point.marker is None:
             return None
         marker = self._sites.marker(self.offer.point.marker)

@@ -26,6 +26,7 @@ class HitchhikingParameters:
     priority: Priority = 10  # T, 16-20 is time critical
     may_ride: bool = True
     may_drive: bool = True
+    watch_markers: bool = False  # with the camera also while it drives by itself, for its localization
 
     mode: Mode = "local"  # P17: first come first served at a hitchhiking point; network: P18, from afar
     policy: Policy = "profile"  # by which a hitchhiker chooses its driver in a network

@@ -45,6 +45,10 @@ class GoalCommand:
         return Pose2D(self.x, self.y, self.theta)
 
 
+# As the marker of a ServoCommand: whichever there are.
+ANY_MARKER = -1
+
+
 @dataclass(frozen=True)
 class ServoCommand:
     """What the camera is for: ``follow`` drives behind the marker, ``observe`` only reports markers."""
