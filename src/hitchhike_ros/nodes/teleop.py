@@ -51,6 +51,7 @@ from hitchhike_ros.ros_io.parameters import node_parameters
 _LOOK_S = 0.02  # wall time: how long a key may wait
 _ACTIVE_PERIOD_S = 0.5
 _DRAW_PERIOD_S = 0.2  # wall time
+_LEAVE_S = 0.3  # wall time: for its last words to be on their way before topics are closed
 _HANDS = {
     "free": "it has no goal: you drive it directly",
     "guided": "you drive it, within its limits",
@@ -147,6 +148,7 @@ class TeleopNode:
                 self._active.publish(Bool(False))
                 self._teleop.press("release", rospy.get_time())
                 self._was_taken = False
+                time.sleep(_LEAVE_S)
 
     def _lines(self) -> list[str]:
         """State for the screen."""
