@@ -88,7 +88,7 @@ class TeleopTest(unittest.TestCase):
     def start(self, *arguments: str) -> Terminal:
         terminal = Terminal(*arguments)
         self.terminals.append(terminal)
-        self.watch.until(lambda: b"says:" in terminal.shown, WAIT_S, f"a screen: {terminal.shown!r}")
+        self.watch.until(lambda: b"says:" in terminal.shown, WAIT_S, "a screen")
         publisher = rospy.Publisher(f"{ROBOT}/joy", Joy, queue_size=1)
         self.until(lambda: publisher.get_num_connections() > 0, "teleop hears the joystick")
         self.joy = publisher
@@ -199,6 +199,7 @@ class TeleopTest(unittest.TestCase):
             self.assertNotIn(b"Traceback", terminal.shown, how)
 
     def test_bad_parameters_leave_the_terminal_alone(self) -> None:
+        self.addCleanup(rospy.delete_param, f"{ROBOT}/teleop/speed_mps")
         terminal = Terminal("_speed_mps:=-1")
         self.terminals.append(terminal)
         self.assertEqual(1, terminal.process.wait(WAIT_S))
