@@ -20,6 +20,7 @@ class HumanParameters:
     correct_rad: Positive = 0.1  # off by more than this, the person steers
     turn_rad: Positive = 0.8  # off by more than this, the person stops and turns on the spot
     turned_rad: Positive = 0.25
+    park_m: Positive = 1.0  # nearer to the end than this the robot parks while the person says go
     repeat_s: Positive = 0.1  # a key that is held
 
 
@@ -29,15 +30,19 @@ class ScriptedHuman:
     def __init__(self, params: HumanParameters) -> None:
         self._params = params
         self._turning = False
-        self._pressed_at = -math.inf
+        self._due_at = 0.0
 
     def keys(self, pose: Pose2D, route: FloatArray, now: float) -> str:
         """What is typed at ``now``, often nothing; ``pose`` and ``route`` (N, 2) in ``map``."""
-        if 0.0 <= now - self._pressed_at < self._params.repeat_s:
+        repeat_s = self._params.repeat_s
+        if 0.0 < self._due_at - now <= repeat_s:
             return ""
-        self._pressed_at = now
+        on_time = 0.0 <= now - self._due_at < repeat_s
+        self._due_at = (self._due_at if on_time else now) + repeat_s
         path = ReferencePath(route)
         s, _ = path.project(pose.x, pose.y)
+        if path.length - s < self._params.park_m:
+            return "w"
         x, y = path.at(np.array([min(s + self._params.look_ahead_m, path.length)]))[0]
         ahead = between(pose, Pose2D(float(x), float(y)))
         off = math.atan2(ahead.y, ahead.x)

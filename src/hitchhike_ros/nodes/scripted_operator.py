@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import pty
 import subprocess
@@ -51,6 +52,7 @@ from hitchhike_ros.simulation.world_file import load_world
 
 _LOOK_S, _RETRY_S = 0.01, 0.2  # wall time
 _LEAVE_S = 10.0  # wall time that teleop has to end
+_SAME_PLACE_M = 0.3
 _QUIT = b"\x04"
 
 
@@ -183,11 +185,14 @@ class _Driven:
 
     def drive(self, status: Status | None, now: float) -> None:
         """Type what the person would."""
-        if status is None or self._pose is None:
+        if status is None:
             return
         self._state = status.state
-        if status.hands == "guided" and self._route is not None:
-            self._type(self._human.keys(self._pose, self._route, now))
+        pose, route, goal = self._pose, self._route, status.goal
+        if status.hands != "guided" or goal is None or pose is None or route is None:
+            return
+        if math.dist(route[-1], (goal.x, goal.y)) < _SAME_PLACE_M:  # else it is the route to a goal before
+            self._type(self._human.keys(pose, route, now))
 
     def check(self) -> None:
         """Raises HitchhikeError when teleop has ended."""

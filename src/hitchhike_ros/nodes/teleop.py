@@ -131,10 +131,11 @@ class TeleopNode:
 
     def _speak(self, now: float) -> None:
         twist, taken = self._teleop.step(now), self._teleop.taken
-        due = not 0.0 <= now - self._said_at < self._period_s
-        if twist is not None and (due or twist != self._said):
+        since = now - self._said_at
+        if twist is not None and (twist != self._said or not 0.0 <= since < self._period_s):
             self._commands.publish(twist_to_msg(twist))
-            self._said_at = now
+            in_time = twist == self._said and self._period_s <= since < 2.0 * self._period_s
+            self._said_at = self._said_at + self._period_s if in_time else now
         self._said = twist
         if taken != self._was_taken or (taken and not 0.0 <= now - self._active_at < _ACTIVE_PERIOD_S):
             self._active.publish(Bool(taken))
