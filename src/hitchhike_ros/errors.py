@@ -86,3 +86,7 @@ class VisionError(HitchhikeError):
 
 class SensorDataError(HitchhikeError):
     """A sensor reading is senseless (NaN, wrong length, time running backwards)."""
+
+
+class TeleopError(HitchhikeError):
+    """A robot that a human drives cannot go on as the human wants, or there is nothing to drive it with."""

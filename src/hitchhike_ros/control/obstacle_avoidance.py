@@ -40,6 +40,10 @@ _CURVE_ENDS = 0.8
 # Backing up: the place to steer for, so far along the way back, and what is tried beside that arc, rad/s.
 _BACK_AHEAD_M = 0.4
 _BACK_YAW_RATES = np.array([0.0, 0.1, -0.1, 0.2, -0.2, 0.4, -0.4])
+# Shares of the speed that a human asks for, of which the largest that is safe is driven.
+_BY_HAND_SHARES = np.array([1.0, 0.8, 0.6, 0.4, 0.2, 0.0])
+# On the spot with a rider behind: so slowly that its marker stays in view (rad/s).
+_GENTLE_TURN_RPS = 0.1
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,7 @@ class ObstacleAvoidanceParameters:
     recovery_withdraw_m: Positive = 1.0
     recovery_backwards_mps: Positive = 0.2
     recovery_calm_s: Positive = 3.0  # after driving for so long the next block is a new one
+    by_hand_ends_m: NonNegative = 1.0  # nearer to the goal than this, a robot that a human drives parks by itself
     progress_weight: NonNegative = 1.0
     lateral_weight: NonNegative = 0.6
     heading_weight: NonNegative = 0.4
@@ -209,13 +214,16 @@ class ObstacleAvoidance:
         speed_limit: float,
         gentle: bool = False,
         others: Sequence[tuple[Pose2D, float]] = (),
+        by_hand: Twist2D | None = None,
     ) -> Decision:
         """The command for the next scan period.
 
         ``pose`` (in ``map``) and ``twist`` are those at the scan's stamp; ``speed_limit`` in m/s; ``gentle`` while a
         hitchhiker follows. ``others`` are robots that say where in ``map`` they are, with the radius of each: a laser
-        sees of a robot only what is at its own height. Inputs that are not finite, too old or empty give a stand with
-        state ``blocked``.
+        sees of a robot only what is at its own height. ``by_hand`` is what a human who drives wants, a stand too; None
+        where nobody does. It is followed in place of the path, as fast as that is safe; near the goal the robot parks
+        by itself for as long as the human wants it to move. Inputs that are not finite, too old or empty give a stand
+        with state ``blocked``.
         """
         try:
             points = self._usable_points(now, pose, twist, scan, speed_limit)
@@ -233,6 +241,9 @@ class ObstacleAvoidance:
         limits = self._rider_limits if gentle else self._limits
         limits = replace(limits, max_speed_mps=min(limits.max_speed_mps, speed_limit))
         field = ClearanceField(np.vstack([points, *(self._outline(pose, *other) for other in others)]))
+        near = distance(pose, leg.goal) <= self._params.by_hand_ends_m
+        if by_hand is not None and (not near or by_hand == Twist2D()):
+            return self._drive_by_hand(leg, now, pose, twist, field, limits, gentle, by_hand)
         before = self._command
         decision = self._drive(leg, now, pose, twist, field, limits, gentle)
         # Whoever makes room does not come back at the first gap.
@@ -396,6 +407,44 @@ class ObstacleAvoidance:
             return self._stand("driving", "no motion is safe")
         return Decision(self._ramp(now, twist, target, limits), "driving", "waiting for a way" if standing else "")
 
+    def _drive_by_hand(
+        self,
+        leg: _Leg,
+        now: float,
+        pose: Pose2D,
+        twist: Twist2D,
+        field: ClearanceField,
+        limits: RobotLimits,
+        gentle: bool,
+        wanted: Twist2D,
+    ) -> Decision:
+        """What the human wants, slower where the robot could not brake before contact; blocked is only the path."""
+        p = self._params
+        leg.moved_at = leg.progressed_at = now  # it goes where and when the human wants
+        leg.about, leg.stuck, leg.detour, leg.turning = pose, False, None, False
+        self._start_over()
+        self._trail.add(pose)
+        clearance = float(field.clearance(self._footprint, np.zeros(3)))
+        if clearance < -0.02:
+            return self._stand("blocked", "an obstacle touches the footprint")
+        back = 0.0 if gentle else min(p.approach_backwards_mps, limits.max_speed_mps)
+        v = min(max(wanted.v, -back), limits.max_speed_mps) * _BY_HAND_SHARES
+        omega = np.clip(np.full_like(v, wanted.omega), -limits.max_yaw_rate_rps, limits.max_yaw_rate_rps)
+        if gentle:
+            in_view = p.rider_curvature_per_m * v + _GENTLE_TURN_RPS
+            omega = np.clip(omega, -in_view, in_view)
+        targets = np.vstack([np.stack([v, omega], axis=1), np.zeros(2)])
+        safe = self._can_stop(twist, targets, field, self._floor(clearance), limits)
+        chosen = int(np.argmax(safe)) if safe.any() else -1
+        command = self._ramp(now, twist, Twist2D(*(float(x) for x in targets[chosen])), limits)
+        if not safe.any():
+            self._command = command = Twist2D()  # brake as hard as the base can
+        leg.s, off_path = leg.path.project(pose.x, pose.y)
+        if off_path > p.max_off_path_m:  # path_planning plans anew
+            return Decision(command, "blocked", f"driven by hand, {off_path:.2f} m off the path")
+        held = bool(chosen) and wanted != Twist2D()
+        return Decision(command, "driving", "driven by hand" + (", held back by an obstacle" if held else ""))
+
     def _floor(self, clearance: float) -> float:
         """How near to an obstacle it may come: the margin, or the ``clearance`` of now where someone has stepped up."""
         return min(self._params.margin_m, clearance - 0.005 if clearance > 0.02 else clearance)
@@ -474,7 +523,7 @@ class ObstacleAvoidance:
         p = self._params
         targets = window(twist, limits, p.window_s, limits.max_speed_mps, p.speed_samples, p.yaw_rate_samples)
         if gentle:
-            in_view = np.abs(targets[:, 1]) <= p.rider_curvature_per_m * targets[:, 0] + 0.1
+            in_view = np.abs(targets[:, 1]) <= p.rider_curvature_per_m * targets[:, 0] + _GENTLE_TURN_RPS
             targets = targets[in_view] if in_view.any() else targets
         safe = self._can_stop(twist, targets, field, floor, limits)
         if not safe.any():

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, get_args
 
 import msgspec
 
-from hitchhike_ros.datatypes import Positive, Twist2D
+from hitchhike_ros.datatypes import Hands, Positive, Twist2D
 from hitchhike_ros.robot_model import RobotLimits
 
 Source = Literal["teleop", "servoing", "navigation"]
@@ -40,6 +40,7 @@ class VelocityMux:
         self._commands: dict[Source, tuple[float, Twist2D]] = {}
         self._output, self._stepped_at = Twist2D(), math.inf
         self.active: Source | None = None
+        self.hands: Hands = "free"  # guided: obstacle avoidance takes up what teleop says
         self.refused: Counter[Source] = Counter()
 
     def command(self, source: Source, twist: Twist2D, now: float) -> bool:
@@ -62,7 +63,7 @@ class VelocityMux:
             self._stepped_at = now
         dt = min(now - self._stepped_at, self._params.max_period_s)
         self._stepped_at = now
-        fresh = [s for s in SOURCES if s in self._commands and 0.0 <= now - self._commands[s][0] < self._timeouts[s]]
+        fresh = [s for s in SOURCES if self._drives(s, now)]
         self.active = fresh[0] if fresh else None
         target = self._commands[self.active][1] if self.active else Twist2D()
         limits, brake = self._limits, self._params.deceleration_factor
@@ -73,6 +74,13 @@ class VelocityMux:
             ),
         )
         return self._output
+
+    def _drives(self, source: Source, now: float) -> bool:
+        """Whether a source has a fresh command that it may give."""
+        at, twist = self._commands.get(source, (math.inf, Twist2D()))
+        stops = self.hands == "off" and twist == Twist2D()
+        may = source != "teleop" or self.hands == "free" or stops
+        return may and 0.0 <= now - at < self._timeouts[source]
 
 
 def _approach(value: float, target: float, limit: float, change: float, brake: float) -> float:

@@ -4,11 +4,17 @@ One decision for each scan, once the pose of the scan's stamp is there; a later 
 last one is carried on by odometry. The robot stands, with the reason in navigation/status and /diagnostics, when a
 scan, odometry or a pose is missing, old or senseless, and while there is no plan to its goal.
 
-Subscribed (the latter four only while the module is on):
+A human who drives (teleop) is followed in place of the plan, within the speed limit, gently with a rider behind and
+never into an obstacle; the robot stands while the human wants nothing. Where a driver aligns it drives by itself, where
+it waits for its rider it has no goal and stands.
+
+Subscribed (all but the first only while the module is on):
     hhike_msg/status (std_msgs/String): whether the module is on, the goal, the speed limit, whether somebody rides
     plan (nav_msgs/Path, in ``map``): followed when it ends at the goal; a goal that is only to stand parallel to a wall
         needs none
     amcl_pose (geometry_msgs/PoseWithCovarianceStamped), odom (nav_msgs/Odometry), scan (sensor_msgs/LaserScan)
+    cmd_vel/teleop (geometry_msgs/Twist): what the human wants
+    teleop/active (std_msgs/Bool): repeated while a human has the robot in hand, so that it does not drive by itself
 Published:
     cmd_vel/navigation (geometry_msgs/Twist): for each scan while there is a goal; one stand when that ends
     navigation/status (std_msgs/String, latched): JSON ``{"goal_id", "state", "reason"}``, state one of idle, driving,
@@ -19,6 +25,7 @@ Parameters:
     ~config (path), sections ``obstacle_avoidance`` (control.obstacle_avoidance.ObstacleAvoidanceParameters),
         ``wall_alignment`` (control.wall_alignment.WallAlignmentParameters) and ``robot``
     ~urdf (path): mount of the laser
+    section ``by_hand`` of ~config (control.by_hand.ByHandParameters): when a human's word is old
     ~pose_wait_s (s of wall time, 0.1; 0.4 in lock-step, where time stands still meanwhile): how long the pose of a scan
         is awaited
 TF: none.
@@ -36,13 +43,14 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMsg
 from nav_msgs.msg import Path
 from sensor_msgs.msg import LaserScan as LaserScanMsg
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
+from hitchhike_ros.control.by_hand import ByHand, ByHandParameters
 from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
 from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
 from hitchhike_ros.datatypes import FloatArray, LaserScan, Pose2D, PoseEstimate, Positive, Side, Twist2D
-from hitchhike_ros.errors import PlanningError, SensorDataError
+from hitchhike_ros.errors import PlanningError, SensorDataError, TeleopError
 from hitchhike_ros.geometry import compose, distance, pose_from_matrix, wrap_angle
 from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.machine import NavigationReport
@@ -54,6 +62,7 @@ from hitchhike_ros.ros_io.conversions import (
     path_from_msg,
     pose_from_msg,
     scan_from_msg,
+    twist_from_msg,
     twist_to_msg,
 )
 from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
@@ -84,6 +93,7 @@ class ObstacleAvoidanceNode:
         self._params = node_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance")
         self._wall_params = node_parameters(WallAlignmentParameters, "wall_alignment")
         self._limits = node_parameters(RobotLimits, "robot")
+        self._by_hand = ByHand(node_parameters(ByHandParameters, "by_hand"))
         self._T_base_laser = pose_from_matrix(mount(path_parameter("urdf"), "laser"))
         self._pose_wait_s = convert(
             rospy.get_param("~pose_wait_s", 0.4 if rospy.get_param("/lockstep", False) else 0.1),
@@ -110,6 +120,8 @@ class ObstacleAvoidanceNode:
                 ("amcl_pose", PoseWithCovarianceStamped, self._on_estimate),
                 ("odom", OdometryMsg, self._on_odometry),
                 ("scan", LaserScanMsg, self._on_scan),
+                ("cmd_vel/teleop", Twist, self._on_teleop),
+                ("teleop/active", Bool, self._on_active),
             ]
         )
         self._listener = StatusListener(self._on_status, self._diagnostics)
@@ -133,6 +145,7 @@ class ObstacleAvoidanceNode:
     def _on_status(self, status: Status) -> None:
         with self._changed:
             before, self._status = self._goal, status
+            self._by_hand.hear_status()
             goal = self._goal
             if self._switch.set(status.modules.OBS):
                 self._forget()
@@ -172,6 +185,16 @@ class ObstacleAvoidanceNode:
                 self._odometry_problem = str(exc)
                 self._diagnostics.count("bad_odometry")
                 self._stand(str(exc))
+
+    def _on_teleop(self, msg: Twist) -> None:
+        with self._changed:
+            if not self._by_hand.command(twist_from_msg(msg), rospy.get_time()):
+                self._diagnostics.count("bad_teleop")
+                rospy.logwarn_throttle(10.0, "cmd_vel/teleop is not finite: refused")
+
+    def _on_active(self, msg: Bool) -> None:
+        with self._changed:
+            self._by_hand.take(msg.data, rospy.get_time())
 
     def _on_scan(self, msg: LaserScanMsg) -> None:
         stamp = msg.header.stamp.to_sec()
@@ -221,8 +244,14 @@ class ObstacleAvoidanceNode:
             return
         limit = self._limits.max_speed_mps if status.speed_limit_mps is None else status.speed_limit_mps
         others = [(Pose2D(r.x, r.y), r.radius_m) for r in status.robots]
+        gentle = status.carries_rider
+        try:
+            hand = self._by_hand.wanted(pose, gentle, self._decided_at) if status.hands == "guided" else None
+        except TeleopError as exc:
+            self._stand(str(exc))
+            return
         decision = self._avoidance.step(
-            self._decided_at, pose, self._odometry.twist, scan, self._T_base_laser, limit, status.carries_rider, others
+            self._decided_at, pose, self._odometry.twist, scan, self._T_base_laser, limit, gentle, others, hand
         )
         level = ERROR if decision.state == "blocked" else OK
         self._act(goal, NavigationReport(goal.id, decision.state, decision.reason), decision.twist, level)

@@ -63,7 +63,7 @@ class Operator:
         ]
         watcher = str(rospy.get_param("~watcher", ""))
         topics = [f"/{robot.name}/hhike_msg/status" for robot in robots]
-        while watcher and not rospy.is_shutdown() and not _listens(watcher, topics):
+        while watcher and not rospy.is_shutdown() and not listens(watcher, topics):
             if time.monotonic() > deadline:
                 raise HitchhikeError(f"{watcher}: does not listen to the robots within ~deadline_s")
             time.sleep(_RETRY_S)
@@ -80,7 +80,7 @@ class Operator:
         rospy.signal_shutdown("goals given")
 
 
-def _listens(node: str, topics: Iterable[str]) -> bool:
+def listens(node: str, topics: Iterable[str]) -> bool:
     """Whether a node has subscribed to all of the topics."""
     _, subscriptions, _ = rosgraph.Master(rospy.get_name()).getSystemState()
     listeners = dict(subscriptions)

@@ -1,7 +1,11 @@
 """velocity_mux: the only writer of cmd_vel; passes on the most important fresh command within the robot's limits.
 
+A human drives the base through it while the robot has no goal and no ride, or nobody says anything. On the way to a
+goal, alone or with riders, obstacle_avoidance takes up what the human says; in all other states only a stop passes.
+
 Subscribed:
     cmd_vel/teleop, cmd_vel/servoing, cmd_vel/navigation (geometry_msgs/Twist): in this order of priority
+    hhike_msg/status (std_msgs/String): whether the robot has a goal or a ride
 Published:
     cmd_vel (geometry_msgs/Twist): at ``~rate`` of ROS time and at once on a command
     /diagnostics (diagnostic_msgs/DiagnosticArray): the source that drives, commands refused
@@ -21,9 +25,10 @@ from geometry_msgs.msg import Twist
 from hitchhike_ros.control.velocity_mux import SOURCES, Source, VelocityMux, VelocityMuxParameters
 from hitchhike_ros.datatypes import Positive
 from hitchhike_ros.parameters import convert
+from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.ros_io.conversions import twist_from_msg, twist_to_msg
-from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, run
+from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, StatusListener, run
 from hitchhike_ros.ros_io.parameters import node_parameters
 
 
@@ -43,6 +48,7 @@ class VelocityMuxNode:
             rospy.Subscriber(f"cmd_vel/{s}", Twist, self._on_command, s, queue_size=1, tcp_nodelay=True)
             for s in SOURCES
         ]
+        self._listener = StatusListener(self._on_status, self._diagnostics)
         # reset: the timer goes on after time has jumped back.
         self._timer = rospy.Timer(rospy.Duration(1.0 / rate), lambda _event: self._step(), reset=True)
 
@@ -54,6 +60,10 @@ class VelocityMuxNode:
                 self._senseless.add(source)
                 rospy.logwarn_throttle(10.0, "cmd_vel/%s is not finite: refused", source)
         self._step()
+
+    def _on_status(self, status: Status) -> None:
+        with self._lock:
+            self._mux.hands = status.hands
 
     def _step(self) -> None:
         with self._lock:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from hitchhike_ros.datatypes import NonNegative, Pose2D, Positive, Side
+from hitchhike_ros.datatypes import Hands, NonNegative, Pose2D, Positive, Side
 from hitchhike_ros.errors import MessageError
 
 
@@ -108,9 +108,18 @@ class Status:
         """Whether the robot is coupled to its driver, or was and wants to be again."""
         return self.role == "hitchhiker" and self.state in RIDING_STATES
 
+    @property
+    def hands(self) -> Hands:
+        """What a human who teleoperates the robot may do to it now."""
+        if self.goal is not None and self.state in GUIDED_STATES and self.role != "hitchhiker":
+            return "guided"
+        return "free" if self.goal is None and self.role == "none" and self.state == "idle" else "off"
+
 
 RIDING_STATES = frozenset({"riding", "seeking", "locating", "catching_up", "recoupling", "settling"})
 CARRYING_STATES = frozenset({"driving", "waiting_for_rider"})
+# A driver that is on its way, alone or with its riders. Where it aligns it drives by itself, elsewhere it stands.
+GUIDED_STATES = frozenset({"navigating", "driving"})
 
 
 # Made once: msgspec crashes when two threads ask for the decoder of a type at the same time for the first time.

@@ -1,0 +1,81 @@
+#!/usr/bin/python3
+"""A ride behind a driver that is driven by keys (P18 §8.3.4), with real nodes: against the truth."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import rospy
+import rostest
+from geometry_msgs.msg import Twist
+from std_msgs.msg import Bool
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import network_ride_test
+from network_ride_test import DRIVER, RIDER
+
+COUNTED_S = 30
+# P18 Exp. 1: the ride that is teleoperated too.
+RIDE_M = 28.8
+RIDE_SPEED_MPS = 0.5
+
+
+class TeleopRideTest(network_ride_test.NetworkRideTest):
+    """What holds for rides by navigation holds for this one."""
+
+    counts: dict[str, Any]
+    commands: list[tuple[str, Twist]]
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        path = Path(rospy.get_param("~counts"))
+        path.unlink(missing_ok=True)
+        cls.commands, hands = [], []
+        subscribers = [
+            rospy.Subscriber(f"/{name}/cmd_vel/teleop", Twist, lambda msg, who=name: cls.commands.append((who, msg)))
+            for name in (DRIVER, RIDER)
+        ]
+        subscribers.append(rospy.Subscriber(f"/{DRIVER}/teleop/active", Bool, lambda msg: hands.append(msg.data)))
+        super().setUpClass()
+        end = time.monotonic() + COUNTED_S
+        while not cls.trouble and not (path.exists() and path.read_text(encoding="utf-8").endswith("}\n")):
+            if time.monotonic() > end:
+                cls.trouble = "the operator has not counted"
+            time.sleep(0.1)
+        if not cls.trouble:
+            cls.counts = json.loads(path.read_text(encoding="utf-8"))
+            cls.hands = hands
+            print(cls.counts)
+        for subscriber in subscribers:
+            subscriber.unregister()
+
+    def test_the_ride_is_that_of_the_paper(self) -> None:
+        (ride,) = self.rides
+        self.assertEqual((RIDER, DRIVER), (ride.hitchhiker, ride.driver))
+        assert ride.ride_m is not None
+        self.assertAlmostEqual(RIDE_M, ride.ride_m, delta=0.02 * RIDE_M)
+        self.assert_met(ride, "west")
+
+    def test_a_human_drove_the_whole_ride(self) -> None:
+        """So many commands as ten a second are at the speed of a ride, but for the last metre and pulling away."""
+        self.assertTrue(self.counts["completed"])
+        driving = self.counts["states"]["driving"]
+        self.assertGreater(driving["commands"], 0.8 * 10.0 * (RIDE_M - 1.0) / RIDE_SPEED_MPS)
+        self.assertGreater(driving["keys"], 0.8 * 10.0 * (RIDE_M - 1.0) / RIDE_SPEED_MPS)
+        self.assertEqual({"keys", "commands", "bytes"}, set(driving))
+        self.assertEqual([DRIVER], list(self.counts["robots"]))
+
+    def test_the_counts_are_what_was_sent(self) -> None:
+        self.assertEqual({DRIVER}, {who for who, _ in self.commands})
+        self.assertAlmostEqual(len(self.commands), self.counts["commands"], delta=5)
+        self.assertEqual(self.counts["keys"] + 48 * self.counts["commands"], self.counts["bytes"])
+
+    def test_the_human_took_the_robot_and_gave_it_back(self) -> None:
+        self.assertEqual((True, False), (self.hands[0], self.hands[-1]))
+
+
+if __name__ == "__main__":
+    rospy.init_node("teleop_ride_test")
+    rostest.rosrun("hitchhike_ros", "teleop_ride", TeleopRideTest)
