@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +15,8 @@ from hitchhike_ros.simulation.grid_world import GridWorld
 
 # Robots in radio range are counted so often (chosen), and progress is told as often.
 _SAMPLE_S = 30.0
+# New objects before the youngest, then younger, then all of them are searched for cycles (chosen).
+_COLLECTIONS = (50_000, 20, 100)
 # Trips that begin later than this before the end are left out, as only the short ones end in time (chosen).
 _LAST_TRIPS_S = 400.0
 
@@ -97,14 +101,29 @@ def _simulated(scenario: Scenario, told: Told) -> tuple[GridWorld, float, float]
     """The world at its end, the processor time of its events, and the mean number of robots in radio range."""
     world = build(scenario)
     processor, counts = 0.0, []
-    while world.now < scenario.duration_s:
-        until = min(world.now + _SAMPLE_S, scenario.duration_s)
-        began = time.process_time()
-        world.run(until)
-        processor += time.process_time() - began
-        counts.append(world.mean_in_range())
-        told(world.now, scenario.duration_s)
+    with _rare_collections():
+        while world.now < scenario.duration_s:
+            until = min(world.now + _SAMPLE_S, scenario.duration_s)
+            began = time.process_time()
+            world.run(until)
+            processor += time.process_time() - began
+            counts.append(world.mean_in_range())
+            told(world.now, scenario.duration_s)
     return world, processor, float(np.mean(counts))
+
+
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """Python looks for cycles among all objects again and again, and a world of many hardly makes any."""
+    before = gc.get_threshold()
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(*_COLLECTIONS)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        gc.unfreeze()
 
 
 def _trips(world: GridWorld, alone: GridWorld, until_s: float) -> tuple[FleetTrip, ...]:

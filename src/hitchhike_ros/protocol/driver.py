@@ -98,6 +98,8 @@ _NOWHERE = HitchhikingPoint("", (), Pose2D(), Pose2D())  # before a hitchhiker h
 class DriverState(Enum):
     """Where the robot stands as the one who drives, alone or with a rider."""
 
+    __hash__ = object.__hash__  # members are one of a kind, and every event looks a row up
+
     IDLE = "idle"
     NAVIGATING = "navigating"
     OFFERING = "offering"

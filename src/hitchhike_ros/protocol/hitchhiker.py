@@ -95,6 +95,8 @@ _TAKEN_M = 4.0 * _LOST_SIGMA[0]
 class HitchhikerState(Enum):
     """Where the ride stands for the one who rides."""
 
+    __hash__ = object.__hash__  # members are one of a kind, and every event looks a row up
+
     IDLE = "idle"
     REQUESTING = "requesting"
     LOCKING = "locking"

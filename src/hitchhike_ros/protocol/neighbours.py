@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.protocol.messages import Beacon, Message, PoseFields
 from hitchhike_ros.protocol.status import KnownRobot
@@ -12,76 +10,59 @@ from hitchhike_ros.protocol.status import KnownRobot
 _UNKNOWN_RADIUS_M = 0.4
 
 
-@dataclass
-class _Heard:
-    """Where a robot was last and when that was said, and the last beacon and when it came."""
-
-    place: Pose2D | None = None
-    radius_m: float = _UNKNOWN_RADIUS_M
-    at: float = 0.0
-    beacon: Beacon | None = None
-    beacon_at: float = 0.0
-    _robot: KnownRobot | None = None  # made when asked for, as beacons come much more often
-
-    def is_at(self, place: Pose2D, now: float) -> None:
-        self.place, self.at, self._robot = place, now, None
-
-    @property
-    def robot(self) -> KnownRobot | None:
-        if self._robot is None and self.place is not None:
-            self._robot = KnownRobot(self.place.x, self.place.y, self.radius_m)
-        return self._robot
-
-
 class Neighbours:
-    """Remembers what was heard; how long it holds is for whoever asks."""
+    """Remembers what was heard; how long it holds is for whoever asks.
+
+    Beacons come by the hundred for every question, so hearing one only puts it away.
+    """
 
     def __init__(self) -> None:
-        self._heard: dict[str, _Heard] = {}
+        self._beacons: dict[str, tuple[Beacon, float]] = {}
+        self._places: dict[str, tuple[Pose2D, float]] = {}  # that other messages told, or that were seen
 
     def hear(self, message: Message, now: float) -> None:
         """Take any message of another robot."""
-        if not isinstance(message, Beacon | PoseFields):
-            return
-        known = self._heard.get(message.robot_id)
-        if known is None:
-            known = self._heard[message.robot_id] = _Heard()
         if isinstance(message, Beacon):
-            known.beacon, known.beacon_at, known.radius_m = message, now, message.radius_m
-        pose = message.pose
-        if pose is not None:
-            known.is_at(pose, now)
+            if message.pose is None and (place := self._place(message.robot_id)) is not None:
+                self._places[message.robot_id] = place  # the beacon before may have told it
+            self._beacons[message.robot_id] = message, now
+        elif isinstance(message, PoseFields):
+            self._places[message.robot_id] = message.pose, now
 
     def saw(self, robot_id: str, place: Pose2D, now: float) -> None:
         """A robot was seen at ``place`` in ``map``: what it said last may be metres old."""
-        known = self._heard.get(robot_id)
-        if known is not None and known.place is not None:
-            known.is_at(place, now)
+        if self._place(robot_id) is not None:
+            self._places[robot_id] = place, now
 
     def robots(self, now: float, timeout_s: float, waiting: str, waiting_s: float) -> tuple[KnownRobot, ...]:
         """Where robots stand that were heard of in the last ``timeout_s``; ``waiting`` is remembered longer."""
-        return tuple(
-            robot
-            for name, known in self._heard.items()
-            if now - known.at <= (waiting_s if name == waiting else timeout_s) and (robot := known.robot) is not None
-        )
+        found = []
+        for name in {**self._beacons, **self._places}:
+            place = self._place(name)
+            if place is not None and now - place[1] <= (waiting_s if name == waiting else timeout_s):
+                beacon = self._beacons.get(name)
+                radius_m = _UNKNOWN_RADIUS_M if beacon is None else beacon[0].radius_m
+                found.append(KnownRobot(place[0].x, place[0].y, radius_m))
+        return tuple(found)
 
     def known(self, now: float, timeout_s: float) -> set[str]:
         """All whose last beacon came in the last ``timeout_s``."""
-        return {
-            name
-            for name, known in self._heard.items()
-            if known.beacon is not None and now - known.beacon_at <= timeout_s
-        }
+        return {name for name, (_, at) in self._beacons.items() if now - at <= timeout_s}
 
     def drivers(self, now: float, timeout_s: float) -> set[str]:
         """Those whose last beacon of the last ``timeout_s`` offers a place."""
         return {
-            name
-            for name, known in self._heard.items()
-            if known.beacon is not None and known.beacon.free_places > 0 and now - known.beacon_at <= timeout_s
+            name for name, (beacon, at) in self._beacons.items() if beacon.free_places > 0 and now - at <= timeout_s
         }
 
     def forget(self, before: float) -> None:
         """Of whom nothing was heard since ``before`` is gone."""
-        self._heard = {name: k for name, k in self._heard.items() if max(k.at, k.beacon_at) >= before}
+        self._beacons = {name: heard for name, heard in self._beacons.items() if heard[1] >= before}
+        self._places = {name: place for name, place in self._places.items() if place[1] >= before}
+
+    def _place(self, name: str) -> tuple[Pose2D, float] | None:
+        """Where a robot was last, and when that was heard."""
+        told, heard = self._places.get(name), self._beacons.get(name)
+        if heard is None or heard[0].pose is None or (told is not None and told[1] > heard[1]):
+            return told
+        return heard[0].pose, heard[1]

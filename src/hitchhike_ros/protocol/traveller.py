@@ -64,7 +64,7 @@ class Traveller:
         self._asks = 0  # on the way to the present goal
         self._reversed_at = -math.inf
         self._booked_for = ""  # the ride after which another one was looked for
-        self._beacon_due = 0.0
+        self._beacon_due = self._forget_due = 0.0
         self._driver = ""  # of the newest ride
 
     @property
@@ -94,15 +94,15 @@ class Traveller:
         assert isinstance(event, Message)
         return self._hear(event, now)
 
-    def status(self, now: float) -> Status:
-        """What the modules have to do now."""
+    def status(self, now: float, others: bool = True) -> Status:
+        """What the modules have to do now; ``others`` says whether they want to know where other robots are."""
         machine = self.hitchhiker if self.rides else self.driver
         role = "hitchhiker" if self.rides else ("driver" if self.driver.offer is not None else "none")
         if self.hitchhiker.offer is not None:
             self._driver = self.hitchhiker.offer.robot_id
         # A driver without a rider stands there and waits, so it is remembered for as long.
-        robots = self.neighbours.robots(now, self.params.robot_timeout_s, self._driver, self.params.lost_timeout_s)
-        servo = machine.servo
+        p, servo = self.params, machine.servo
+        robots = self.neighbours.robots(now, p.robot_timeout_s, self._driver, p.lost_timeout_s) if others else ()
         return Status(
             time_stamp=now,
             robot_id=self.robot_id,
@@ -142,9 +142,12 @@ class Traveller:
         if self._pending is not None and not self.rides and tick.situation.estimate is not None:
             goal, self._pending = self._pending, None
             effects += self._ask(goal, now) if self._wants_ride(goal) else self.driver.step(GoalGiven(goal), now)
+        if now >= self._forget_due:
+            longest_s = max(self.params.robot_timeout_s, self.params.lost_timeout_s)
+            self._forget_due = now + longest_s
+            self.neighbours.forget(now - longest_s)
         if now >= self._beacon_due:
             self._beacon_due = now + self.params.beacon_period_s
-            self.neighbours.forget(now - max(self.params.robot_timeout_s, self.params.lost_timeout_s))
             effects.append(Send(self._beacon()))
         return effects
 

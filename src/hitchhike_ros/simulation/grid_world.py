@@ -168,7 +168,6 @@ class GridRobot:
     history: list[tuple[float, str, str]] = field(default_factory=list)  # when it came to which state, and why
     state_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     sent: Counter[str] = field(default_factory=Counter)
-    received: int = 0
     ridden_m: float = 0.0
     coupled_s: float = 0.0
     asked_s: float = 0.0
@@ -320,7 +319,7 @@ class GridWorld:
             return
         robot.traveller, robot.inbox, robot.seq = self._traveller(name, robot.params), self._inbox(robot), 0
         robot.alive, robot.key, robot.lingers_until = True, (None, None), -math.inf
-        robot.status, robot.since = robot.traveller.status(self.now + robot.clock_offset_s), self.now
+        robot.status, robot.since = robot.traveller.status(self.now + robot.clock_offset_s, others=False), self.now
         self._tell(robot, "restart", ())
         self._schedule(robot, self.now)
         if (trip := robot.trip) is not None:
@@ -435,8 +434,7 @@ class GridWorld:
             if message is None:
                 continue
             self.deliveries += 1
-            robot.received += 1
-            if isinstance(message, Request | Lock) and not robot.engaged and robot.trip is not None:
+            if isinstance(message, (Request, Lock)) and not robot.engaged and robot.trip is not None:
                 self._tick(robot)  # what it knew of itself may be old
             self._step(robot, message)
 
@@ -445,11 +443,11 @@ class GridWorld:
         now, sender, order = self.now, beacon.robot_id, (beacon.time_stamp, beacon.seq)
         watched = bool(self.observers or self.params.trace_events)
         for robot in robots:
-            if robot.alive and robot.inbox.is_new(sender, order):
-                effects = robot.traveller.step(beacon, now + robot.clock_offset_s)
-                robot.received += 1
+            # Of a plain network messages come once, and in order.
+            if robot.alive and (self._plain or robot.inbox.is_new(sender, order)):
+                robot.traveller.neighbours.hear(beacon, now + robot.clock_offset_s)
                 if watched:
-                    self._tell(robot, beacon, effects)
+                    self._tell(robot, beacon, ())
         self.deliveries += len(robots)
 
     def _step(self, robot: GridRobot, event: object) -> None:
@@ -460,12 +458,15 @@ class GridWorld:
         for effect in effects:
             self._carry_out(robot, effect, local)
         key = (traveller.hitchhiker.state, traveller.driver.state)
-        told = isinstance(event, GoalGiven | GoalCancelled) or (robot.engaged and isinstance(event, Tick))
-        if told or key != robot.key:
+        told = isinstance(event, (GoalGiven, GoalCancelled)) or (robot.engaged and isinstance(event, Tick))
+        news = told or key != robot.key
+        if news:
             robot.key = key
-            self._obey(robot, traveller.status(local))
-        self._tell(robot, event, effects)
-        self._plan_tick(robot)
+            self._obey(robot, traveller.status(local, others=False))
+        if self.observers or self.params.trace_events:
+            self._tell(robot, event, effects)
+        if news or not isinstance(event, Message):  # else its next tick is planned already
+            self._plan_tick(robot)
 
     def _tell(self, robot: GridRobot, event: object, effects: Sequence[Effect]) -> None:
         if self.params.trace_events:
