@@ -12,6 +12,8 @@ from hitchhike_ros.geometry import wrap_angle
 _CHORD_M = 0.5
 # So much of its own trail a robot remembers for those who follow it.
 _TRAIL_M = 12.0
+# It is looked for what can be forgotten when there are more points than so many (chosen).
+_KNOTS = 32
 _TINY_M = 1e-6
 
 
@@ -213,8 +215,10 @@ class Body:
 
     def _prune(self) -> None:
         """Forget what is farther back than anybody follows; not at every step."""
+        if len(self._s) <= _KNOTS:
+            return
         k = bisect_right(self._s, self.odometer_m - _TRAIL_M) - 1
-        if k > 32:
+        if k > _KNOTS:
             for knots in (self._s, self._xs, self._ys):
                 del knots[:k]
 

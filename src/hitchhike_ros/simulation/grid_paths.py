@@ -21,7 +21,7 @@ from hitchhike_ros.errors import (
     StartBlockedError,
     UnreachableError,
 )
-from hitchhike_ros.mapping.grid import BoolArray, OccupancyGrid, distance_to
+from hitchhike_ros.mapping.grid import BoolArray, CellArray, OccupancyGrid, distance_to
 from hitchhike_ros.planning.astar import Cell, CostArray
 from hitchhike_ros.planning.costmap import CostmapParameters, label_regions
 from hitchhike_ros.planning.dstar_lite import DStarLite
@@ -81,28 +81,7 @@ class GridPaths:
             GoalBlockedError: the goal is too near to an obstacle.
             UnreachableError: no path joins the two.
         """
-        from_cell, to_cell = self._on_map("start", start), self._on_map("goal", goal)
-        cost = self._cost(known)
-        if not math.isfinite(cost[to_cell]):
-            raise GoalBlockedError(f"goal ({goal[0]:.2f}, {goal[1]:.2f}) is too near to an obstacle")
-        leaves = not math.isfinite(cost[from_cell])
-        if leaves:
-            from_cell = self._way_out(cost, from_cell, start)
-        search = self._searches.get((known, to_cell))
-        if search is None:
-            search = self._searches[known, to_cell] = DStarLite(cost)
-            found = search.plan(from_cell, to_cell)
-            if len(self._searches) > _SEARCHES:
-                self._searches.popitem(last=False)
-        else:
-            self._searches.move_to_end((known, to_cell))
-            found = search.move(from_cell)
-        if not len(found.cells):
-            raise UnreachableError(
-                f"no way from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f}) "
-                f"that is {2 * self.clearance_m:.2f} m wide"
-            )
-        cells = found.cells if leaves else found.cells[1:]
+        cells = self._cells(start, goal, known)
         path = np.empty((max(len(cells) - 1, 0) + 2, 2))
         path[0], path[-1] = start, goal
         path[1:-1] = (cells[:-1, ::-1] + 0.5) * self._resolution + self._origin
@@ -114,7 +93,7 @@ class GridPaths:
         metres = self._metres.get(key)
         if metres is None:
             try:
-                metres = float(np.hypot(*np.diff(self.plan(start, goal, known), axis=0).T).sum())
+                metres = self._length(start, goal, self._cells(start, goal, known))
             except PlanningError:
                 metres = math.inf
             if len(self._metres) >= _DISTANCES:
@@ -163,6 +142,45 @@ class GridPaths:
         apart = math.dist(at, nearest)
         before = 1.0 - min(1.0, 1.5 * self._resolution / apart) if apart else 0.0
         return self.sees(at, (at[0] + before * (nearest[0] - at[0]), at[1] + before * (nearest[1] - at[1])))
+
+    def _cells(self, start: Point, goal: Point, known: Known) -> CellArray:
+        """The cells (N, 2) of a path behind that of ``start``, up to that of ``goal``; errors as of :meth:`plan`."""
+        from_cell, to_cell = self._on_map("start", start), self._on_map("goal", goal)
+        cost = self._cost(known)
+        if not math.isfinite(cost[to_cell]):
+            raise GoalBlockedError(f"goal ({goal[0]:.2f}, {goal[1]:.2f}) is too near to an obstacle")
+        leaves = not math.isfinite(cost[from_cell])
+        if leaves:
+            from_cell = self._way_out(cost, from_cell, start)
+        search = self._searches.get((known, to_cell))
+        if search is None:
+            search = self._searches[known, to_cell] = DStarLite(cost)
+            found = search.plan(from_cell, to_cell)
+            if len(self._searches) > _SEARCHES:
+                self._searches.popitem(last=False)
+        else:
+            self._searches.move_to_end((known, to_cell))
+            found = search.move(from_cell)
+        if not len(found.cells):
+            raise UnreachableError(
+                f"no way from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f}) "
+                f"that is {2 * self.clearance_m:.2f} m wide"
+            )
+        return found.cells if leaves else found.cells[1:]
+
+    def _length(self, start: Point, goal: Point, cells: CellArray) -> float:
+        """Of the path over ``cells`` (N, 2), in m."""
+        if len(cells) < 2:
+            return math.dist(start, goal)
+        steps = cells[1:-1] != cells[:-2]
+        diagonal = int(np.count_nonzero(steps[:, 0] & steps[:, 1]))
+        first, last = (self._middle(cells[k]) for k in (0, -2))
+        between = self._resolution * (len(steps) + (math.sqrt(2.0) - 1.0) * diagonal)
+        return math.dist(start, first) + between + math.dist(last, goal)
+
+    def _middle(self, cell: CellArray) -> Point:
+        row, column = cell.tolist()
+        return (column + 0.5) * self._resolution + self._origin[0], (row + 0.5) * self._resolution + self._origin[1]
 
     def _on_map(self, name: str, point: Point) -> Cell:
         if math.isfinite(point[0]) and math.isfinite(point[1]):

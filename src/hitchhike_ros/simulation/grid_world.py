@@ -350,7 +350,8 @@ class GridWorld:
 
     def run(self, until_s: float, stop: Callable[[], bool] | None = None) -> bool:
         """All events up to ``until_s``, or until ``stop()`` after one of them; whether it stopped."""
-        while self.next_event_s <= until_s:
+        heap = self._heap  # which stays the same one: looking at it here is what every event pays
+        while heap and heap[0][0] <= until_s:
             self.step()
             if stop is not None and stop():
                 return True
@@ -441,10 +442,10 @@ class GridWorld:
     def _arrive_beacon(self, beacon: Beacon, robots: Sequence[GridRobot]) -> None:
         """By far the most frequent: it changes nothing but what is remembered, so the loop is kept short."""
         now, sender, order = self.now, beacon.robot_id, (beacon.time_stamp, beacon.seq)
-        watched = bool(self.observers or self.params.trace_events)
+        watched, plain = bool(self.observers or self.params.trace_events), self._plain
         for robot in robots:
             # Of a plain network messages come once, and in order.
-            if robot.alive and (self._plain or robot.inbox.is_new(sender, order)):
+            if robot.alive and (plain or robot.inbox.is_new(sender, order)):
                 robot.traveller.neighbours.hear(beacon, now + robot.clock_offset_s)
                 if watched:
                     self._tell(robot, beacon, ())
