@@ -4,8 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hitchhike_ros.experiments.cost_ledger import Comparison, ModuleCost, Stretch
+from hitchhike_ros.experiments.cost_ledger import (
+    Comparison,
+    ModuleCost,
+    Stretch,
+    compare,
+    cost_figures,
+    ride_steps,
+)
+from hitchhike_ros.experiments.ride_figures import find_ride
+from hitchhike_ros.experiments.ride_record import RideRecord
+from hitchhike_ros.experiments.ride_report import figure_table
 from hitchhike_ros.experiments.terminal import Cell, table
+
+
+def ledger_texts(ridden: RideRecord, alone: RideRecord, colours: bool) -> list[str]:
+    """The whole ledger of a ride beside the same way alone, a table each."""
+    ride, comparisons = find_ride(ridden), compare(ridden, alone)
+    parts = [figure_table(cost_figures(ridden, alone), colours)]
+    parts += [comparison_table(comparison, colours) for comparison in comparisons]
+    for comparison in comparisons[-1:]:
+        parts.append(ledger_table(comparison.rider.modules, colours, "With the ride, from goal to goal"))
+        parts.append(ledger_table(comparison.alone.modules, colours, "Alone, from goal to goal"))
+    if ride is not None:
+        parts.append(steps_table(ride_steps(ridden, ride), colours))
+    return parts
 
 
 def ledger_table(costs: Sequence[ModuleCost], colours: bool, title: str = "Costs") -> str:

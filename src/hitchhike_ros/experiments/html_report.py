@@ -218,7 +218,8 @@ def _row(summary: Summary, runs: Sequence[RunResult]) -> _Row:
 def _run_view(folder: Path, run: RunResult) -> _RunView:
     of_run = Path(run.folder)
     files = []
-    for name in ("ride.bag", "ride.json", "record.json", "map.png", "log"):
+    maps = sorted(path.name for path in of_run.glob("*.bt"))
+    for name in ("ride.bag", "ride.json", "record.json", "map.png", *maps, "log"):
         path = of_run / name
         if path.exists() and path.is_relative_to(folder):
             files.append((name, path.relative_to(folder).as_posix()))

@@ -21,11 +21,10 @@ import msgspec
 
 from hitchhike_ros.errors import HitchhikeError
 from hitchhike_ros.experiments.cost_ledger import compare, cost_figures, modules_off, ride_steps
-from hitchhike_ros.experiments.cost_tables import comparison_table, ledger_table, steps_table
+from hitchhike_ros.experiments.cost_tables import ledger_texts
 from hitchhike_ros.experiments.figures import all_hold
 from hitchhike_ros.experiments.ride_figures import find_ride
 from hitchhike_ros.experiments.ride_record import RideRecord, load_record
-from hitchhike_ros.experiments.ride_report import figure_table
 from hitchhike_ros.experiments.terminal import has_colours
 
 
@@ -42,21 +41,8 @@ def main() -> None:
     except HitchhikeError as exc:
         sys.exit(f"costs: {exc}")
     figures = cost_figures(ridden, alone)
-    print(_json(ridden, alone) if arguments.json else _text(ridden, alone, has_colours(sys.stdout)))
+    print(_json(ridden, alone) if arguments.json else "\n\n".join(ledger_texts(ridden, alone, has_colours(sys.stdout))))
     sys.exit(1 if arguments.check and not all_hold(figures) else 0)
-
-
-def _text(ridden: RideRecord, alone: RideRecord, colours: bool) -> str:
-    ride, comparisons = find_ride(ridden), compare(ridden, alone)
-    parts = [figure_table(cost_figures(ridden, alone), colours)]
-    for comparison in comparisons:
-        parts.append(comparison_table(comparison, colours))
-    for comparison in comparisons[-1:]:
-        parts.append(ledger_table(comparison.rider.modules, colours, "With the ride, from goal to goal"))
-        parts.append(ledger_table(comparison.alone.modules, colours, "Alone, from goal to goal"))
-    if ride is not None:
-        parts.append(steps_table(ride_steps(ridden, ride), colours))
-    return "\n\n".join(parts)
 
 
 def _json(ridden: RideRecord, alone: RideRecord) -> str:

@@ -26,7 +26,7 @@ import signal
 import socket
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -35,14 +35,16 @@ import msgspec
 import rospkg
 
 from hitchhike_ros.errors import HitchhikeError
+from hitchhike_ros.experiments.cost_tables import ledger_texts
 from hitchhike_ros.experiments.experiment import NAMES, Options, load
 from hitchhike_ros.experiments.figures import Figure, Summary, all_hold
 from hitchhike_ros.experiments.html_report import write_report
+from hitchhike_ros.experiments.ride_record import load_record
 from hitchhike_ros.experiments.ride_report import figure_table, summary_table
 from hitchhike_ros.experiments.ride_scenario import RideScenario, ScenarioResult, in_order, load_scenarios
 from hitchhike_ros.experiments.terminal import has_colours
 from hitchhike_ros.nodes.bench import clear_progress, show_progress
-from hitchhike_ros.nodes.ride_experiments import drive
+from hitchhike_ros.nodes.ride_experiments import RECORD, drive
 from hitchhike_ros.nodes.ride_processes import interrupt
 
 _ALL = "all"
@@ -50,11 +52,12 @@ _ALL = "all"
 
 @dataclass(frozen=True)
 class _Done:
-    """What one experiment has given: figures of one run, or of several; whether it ended as it should."""
+    """What one experiment has given: figures of one run, or of several; whether it ended as it should; its tables."""
 
     name: str
     figures: Sequence[Figure] | Sequence[Summary]
     ok: bool
+    tables: Sequence[str] = ()
 
 
 def main() -> NoReturn:
@@ -86,7 +89,7 @@ def _run() -> int:
         _drive_all(rides, results, arguments, report)
     finally:
         if results:
-            _leave(report, results)
+            _leave(report, results, done)
     done += [_Done(result.scenario.name, result.figures, result.ok) for result in results]
     if arguments.json is not None:
         _write_json(arguments, done)
@@ -124,13 +127,25 @@ def _grid(name: str, arguments: argparse.Namespace, package: Path, report: Path)
     print("\n\n".join([name, *texts]) + "\n", flush=True)
     plain = [*findings.tables, figure_table(figures, False)]
     (report / f"{name}.txt").write_text("\n\n".join(plain) + "\n", encoding="utf-8")
-    return _Done(name, figures, ok=True)
+    return _Done(name, figures, True, plain)
 
 
-def _leave(report: Path, results: Sequence[ScenarioResult]) -> None:
-    """What a person reads of the rides."""
+def _leave(report: Path, results: Sequence[ScenarioResult], others: Sequence[_Done]) -> None:
+    """What a person reads of the rides, and of the other experiments."""
     (report / "rides.json").write_bytes(msgspec.json.format(msgspec.json.encode(list(results)), indent=2))
-    print(f"Report: {write_report(report, results)}", flush=True)
+    extras = {done.name: list(done.tables) for done in others} | dict(_ledgers(results))
+    print(f"Report: {write_report(report, results, extras)}", flush=True)
+
+
+def _ledgers(results: Sequence[ScenarioResult]) -> Iterator[tuple[str, list[str]]]:
+    """By the names of those that were driven alone: what the ride costs beside that, of the first seed of both."""
+    by_name = {result.scenario.name: result for result in results if result.ok}
+    for name, alone in by_name.items():
+        ridden = by_name.get(alone.scenario.alone_of)
+        if ridden is None or ridden.scenario.launch.get("drives"):
+            continue
+        records = [load_record(Path(result.runs[0].folder) / RECORD) for result in (ridden, alone)]
+        yield name, ledger_texts(records[0], records[1], False)
 
 
 def _write_json(arguments: argparse.Namespace, done: Sequence[_Done]) -> None:

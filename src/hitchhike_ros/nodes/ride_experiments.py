@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 
 from hitchhike_ros.errors import HitchhikeError, InputFileError
+from hitchhike_ros.experiments.cost_ledger import cost_figures
+from hitchhike_ros.experiments.figures import Figure
+from hitchhike_ros.experiments.network_rides import NetworkRide
+from hitchhike_ros.experiments.operator_counts import NAME as COUNTS
+from hitchhike_ros.experiments.operator_counts import count_figures, load_counts, share_figures
 from hitchhike_ros.experiments.ride_record import RideRecord, load_record
 from hitchhike_ros.experiments.ride_scenario import RideScenario, RunResult, ScenarioResult
 from hitchhike_ros.experiments.ride_scores import score
 from hitchhike_ros.nodes.ride_processes import RideProcesses
+from hitchhike_ros.ros_io.octomaps import newest_octomaps
 from hitchhike_ros.simulation.world_file import WorldFile, load_world
 
 _DEADLINE_S = 1500.0  # wall time of one run on a busy machine (chosen)
 _RESULT = "result.json"
+RECORD = "record.json"
 
 
 class _Kept(msgspec.Struct, frozen=True):
@@ -43,6 +51,9 @@ def drive(
         result = _kept(folder, digest)
         if result is None:
             result = _drive_one(scenario, world, seed, folder, port)
+            if scenario.alone_of and result.ok:
+                beside = figures_beside(output / scenario.alone_of / folder.name, folder)
+                result = replace(result, figures=(*result.figures, *beside))
             _keep(folder, digest, result)
             say(f"  seed {seed}: {result.trouble or 'as it should end'}, {result.sim_s:.0f} s in {result.wall_s:.0f} s")
         else:
@@ -53,22 +64,56 @@ def drive(
 
 def _drive_one(scenario: RideScenario, world: WorldFile, seed: int, folder: Path, port: int | None) -> RunResult:
     monitor = {"tables": False, "deadline_s": _DEADLINE_S}
-    (folder / "record.json").unlink(missing_ok=True)
+    for left in (RECORD, COUNTS):
+        (folder / left).unlink(missing_ok=True)
     trouble = ""
     with RideProcesses(world, seed, folder, scenario.launch, monitor, port) as ride:
         try:
             ride.run()
         except HitchhikeError as exc:
             trouble = str(exc)
-    if not (folder / "record.json").is_file():
+    if not (folder / RECORD).is_file():
         return RunResult(seed, str(folder), "; ".join([trouble or "no record", *ride.trouble()]), (), 0.0, 0.0)
-    record = load_record(folder / "record.json")
+    record = load_record(folder / RECORD)
     goals = {name: entry.goal for name, entry in world.robots.items()}
     # The mode may stand in the file that the scenario's world is based on.
     local = all(entry.hitchhiking.get("mode", "local") == "local" for entry in world.robots.values())
     scored = score(scenario, record, markers_of(world), goals, local)
     sim_s, wall_s = _lasted(record)
-    return RunResult(seed, str(folder), trouble or scored.trouble, scored.figures, sim_s, wall_s)
+    figures = list(scored.figures)
+    if scenario.launch.get("map_3d"):
+        figures += _octomap_figures(folder, world, scored.rides)
+    if (counts := load_counts(folder)) is not None:
+        figures += count_figures(counts)
+        if not counts.completed:
+            trouble = trouble or "the human who teleoperates did not see all robots arrive"
+    return RunResult(seed, str(folder), trouble or scored.trouble, tuple(figures), sim_s, wall_s)
+
+
+def figures_beside(ridden: Path, alone: Path) -> list[Figure]:
+    """What the ride cost or saved that left the folder ``ridden``, beside the run without it; nothing without both."""
+    counts = [load_counts(folder) for folder in (ridden, alone)]
+    if counts[0] is not None and counts[1] is not None:
+        return share_figures(counts[0], counts[1])
+    if not (ridden / RECORD).is_file():
+        return []
+    return cost_figures(load_record(ridden / RECORD), load_record(alone / RECORD))
+
+
+def _octomap_figures(folder: Path, world: WorldFile, rides: Sequence[NetworkRide]) -> list[Figure]:
+    """Whether each hitchhiker has its driver's OctoMap bit for bit; it is left as ``ROBOT.bt``."""
+    if not (folder / "ride.bag").is_file():
+        return [Figure("octomap_equal", None, "", 1.0, "higher")]
+    maps = newest_octomaps(folder / "ride.bag")
+    for name in world.robots:
+        if name in maps:
+            (folder / f"{name}.bt").write_bytes(maps[name])
+    equal = [maps.get(ride.hitchhiker) == maps.get(ride.driver) is not None for ride in rides]
+    size = min((len(maps.get(ride.hitchhiker, b"")) for ride in rides), default=0)
+    return [
+        Figure("octomap_equal", float(bool(equal) and all(equal)), "", 1.0, "higher"),
+        Figure("octomap_size", size / 1e3, "kB"),
+    ]
 
 
 def markers_of(world: WorldFile) -> dict[int, str]:
