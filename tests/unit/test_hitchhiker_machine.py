@@ -205,7 +205,7 @@ def test_an_offer_that_is_withdrawn_is_followed_by_a_new_request(state: Hitchhik
 # Coupling.
 
 
-@pytest.mark.parametrize(("gap", "speed"), [(None, 0.0), (1.0, 0.0), (0.6, 0.0), (0.8, 0.2)])
+@pytest.mark.parametrize(("gap", "speed"), [(None, 0.0), (1.0, 0.0), (0.45, 0.0), (0.8, 0.2)])
 def test_it_is_coupled_only_when_it_hardly_moves_at_the_right_distance(gap: float | None, speed: float) -> None:
     bench = rider_in(S.COUPLING)
     bench.gap, bench.speed = gap, speed
@@ -215,6 +215,13 @@ def test_it_is_coupled_only_when_it_hardly_moves_at_the_right_distance(gap: floa
     bench.wait(1.0)
     assert bench.machine.state is S.RIDING
     assert bench.take(Coupled)[0].gap_m == pytest.approx(0.85)
+
+
+def test_one_that_stands_nearer_than_the_gap_is_coupled_as_it_does_not_back_up() -> None:
+    bench = rider_in(S.COUPLING)
+    bench.gap, bench.speed = 0.65, 0.0
+    bench.wait(1.0)
+    assert bench.machine.state is S.RIDING
 
 
 def test_an_old_image_couples_nothing() -> None:

@@ -83,6 +83,8 @@ _IN_LINE_RAD, _IN_LINE_M = 0.06, 0.25
 # Images of so long a time show it in the gap before it is coupled: four at 10 Hz. It goes no faster meanwhile, and may
 # close the last centimetres while the driver sets off (chosen).
 _SETTLED_S, _SETTLED_MPS = 0.25, 0.1
+# It does not back up: who stands nearer than the gap, by no more than this, lets it open when the one ahead sets off.
+_NEARER_M = 0.3
 # A marker that is seen nearer than this beyond the gap can be coupled with, a farther one may be behind a corner.
 _COUPLING_REACH_M = 1.2
 
@@ -759,7 +761,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         gap, seen = self.gap_m(), self._observation()
         settled = (
             gap is not None
-            and abs(gap - self.params.gap_m) <= self.params.gap_tolerance_m
+            and -_NEARER_M <= gap - self.params.gap_m <= self.params.gap_tolerance_m
             and abs(self.situation.speed_mps) <= _SETTLED_MPS
         )
         if not settled or seen is None:
