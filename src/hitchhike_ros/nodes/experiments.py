@@ -1,6 +1,7 @@
 """usage: rosrun hitchhike_ros experiments NAME... | all [OPTIONS]
 
 Does the papers' experiments and prints the figures beside the papers'. Needs no ROS master: rides start their own.
+What needs third-party data (../shared/data beside the package) is left out where that is missing.
 
   --runs N             so many runs with seeds one after the other (1)
   --seed N             first seed (0)
@@ -8,7 +9,6 @@ Does the papers' experiments and prints the figures beside the papers'. Needs no
                        its bag and logs (runs/experiments); rides that ended well there are not driven again
   --json FILE          write the figures, with versions and seeds, as JSON
   --quick              only the rides of the quick set, among those that are named
-  --data DIR           third-party data (../shared/data beside the package); what needs missing data is left out
   --port N             of the ROS master (any free one)
   --scheduler ADDRESS  of a Dask cluster for the grid; by default this machine's cores
   --check              the exit status also says whether every bound holds
@@ -86,7 +86,7 @@ def _run() -> int:
     rides = in_order(scenarios[name] for name in names if name in scenarios)
     results: list[ScenarioResult] = []
     try:
-        _drive_all(rides, results, arguments, report)
+        _drive_all(rides, results, arguments, report, package.parent / "shared" / "data")
     finally:
         if results:
             _leave(report, results, done)
@@ -102,15 +102,19 @@ def _run() -> int:
 
 
 def _drive_all(
-    rides: Sequence[RideScenario], results: list[ScenarioResult], arguments: argparse.Namespace, report: Path
+    rides: Sequence[RideScenario],
+    results: list[ScenarioResult],
+    arguments: argparse.Namespace,
+    report: Path,
+    data: Path,
 ) -> None:
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     for i, scenario in enumerate(rides):
         where = f"[{i + 1}/{len(rides)}] {scenario.name}: {scenario.title}"
         if arguments.quick and not scenario.quick:
             continue
-        if scenario.needs and not (arguments.data / scenario.needs).exists():
-            print(f"{where}: left out, {arguments.data / scenario.needs} is missing", flush=True)
+        if scenario.needs and not (data / scenario.needs).exists():
+            print(f"{where}: left out, {data / scenario.needs} is missing", flush=True)
             continue
         print(where, flush=True)
         result = drive(scenario, seeds, report, arguments.port, lambda text: print(text, flush=True))
@@ -172,7 +176,6 @@ def _arguments(package: Path, scenarios: dict[str, RideScenario]) -> argparse.Na
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--report", "--output", type=Path, default=Path("runs/experiments"))
-    parser.add_argument("--data", type=Path, default=package.parent / "shared" / "data")
     parser.add_argument("--scheduler")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--port", type=int)

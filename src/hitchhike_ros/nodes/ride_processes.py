@@ -27,7 +27,7 @@ _STOP_TIMEOUT_S = 25.0
 _POLL_S = 0.2
 _FAMILY_PERIOD_S = 5.0
 _TROUBLE = re.compile(r"\[FATAL\]|\[ERROR\]|^\w*(Error|Exception)\b|process has died|cannot|ERROR:")
-_DEATH = re.compile(r"\[(\S+)-\d+\] process has died")
+_DEATH = re.compile(r"\[([^\s\[\]]+)-\d+\] process has died")
 _SHOWN_TROUBLE = 6
 
 
