@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from flat_world import CORRIDOR, LASER, P3DX, TURTLEBOT, FlatWorld
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hitchhike_ros.control.by_hand import ByHand, ByHandParameters
@@ -78,6 +78,31 @@ def test_a_command_of_before_a_ride_ends_with_the_freedom() -> None:
     before = mux.step(0.15).v
     assert mux.active is None
     assert mux.step(0.3).v <= before
+
+
+def test_a_key_that_is_still_held_at_the_goal_does_not_drive_on() -> None:
+    mux = VelocityMux(VelocityMuxParameters(), P3DX)
+    mux.hands = "guided"
+    mux.command("teleop", AHEAD, 0.0)
+    mux.hands = "free"  # the robot is at its goal, and the human has not seen it yet
+    for now in (0.1, 0.2):
+        mux.command("teleop", AHEAD, now)
+        mux.step(now)
+        assert mux.active is None
+    mux.command("teleop", AHEAD, 0.8)  # let go and pressed again
+    mux.step(0.8)
+    assert mux.active == "teleop"
+
+
+def test_a_stop_lets_go_too() -> None:
+    mux = VelocityMux(VelocityMuxParameters(), P3DX)
+    mux.hands = "guided"
+    mux.command("teleop", AHEAD, 0.0)
+    mux.hands = "free"
+    mux.command("teleop", Twist2D(), 0.1)
+    mux.command("teleop", AHEAD, 0.2)
+    mux.step(0.2)
+    assert mux.active == "teleop"
 
 
 # What the human wants.
@@ -180,7 +205,7 @@ def test_it_does_what_the_human_wants() -> None:
     hand.drive(Twist2D(0.0, -0.5), 4.0)
     before = hand.world.pose
     hand.drive(BACK, 2.0)
-    assert distance(before, hand.world.pose) > 0.3
+    assert distance(before, hand.world.pose) < 0.05, "what is behind it nobody sees"
 
 
 def test_a_robot_that_stands_by_hand_is_not_stuck() -> None:
@@ -242,15 +267,16 @@ def test_near_its_goal_it_parks_while_the_human_wants_it_to_move() -> None:
     assert distance(hand.world.pose, GOAL) <= AVOIDANCE.goal_tolerance_m
 
 
-wishes = st.lists(st.tuples(st.floats(-1.5, 1.5), st.floats(-2.0, 2.0)), min_size=3, max_size=8)
+wishes = st.lists(st.tuples(st.integers(-15, 15), st.integers(-20, 20)), min_size=3, max_size=8)  # tenths
 
 
 @settings(max_examples=15, deadline=None)
 @given(wishes, st.booleans())
+@example([(0, 10), (-3, 0), (-10, 0)], False)  # towards a wall that it has forgotten
 def test_whatever_the_human_wants_nothing_is_touched(wanted: list, gentle: bool) -> None:
     hand = Hand()
     for v, omega in wanted:
-        hand.drive(Twist2D(v, omega), 2.0, 0.6, gentle)  # asserts that nothing is
+        hand.drive(Twist2D(v / 10.0, omega / 10.0), 2.0, 0.6, gentle)  # asserts that nothing is
 
 
 # Who stands in for the human.

@@ -427,8 +427,8 @@ class ObstacleAvoidance:
         clearance = float(field.clearance(self._footprint, np.zeros(3)))
         if clearance < -0.02:
             return self._stand("blocked", "an obstacle touches the footprint")
-        back = 0.0 if gentle else min(p.approach_backwards_mps, limits.max_speed_mps)
-        v = min(max(wanted.v, -back), limits.max_speed_mps) * _BY_HAND_SHARES
+        # Not backwards: what is behind was seen a while ago, if ever, and the human does not see it either.
+        v = min(max(wanted.v, 0.0), limits.max_speed_mps) * _BY_HAND_SHARES
         omega = np.clip(np.full_like(v, wanted.omega), -limits.max_yaw_rate_rps, limits.max_yaw_rate_rps)
         if gentle:
             in_view = p.rider_curvature_per_m * v + _GENTLE_TURN_RPS

@@ -42,6 +42,7 @@ class VelocityMux:
         self.active: Source | None = None
         self.hands: Hands = "free"  # guided: obstacle avoidance takes up what teleop says
         self.refused: Counter[Source] = Counter()
+        self._let_go = True  # of the keys, since the robot was last guided
 
     def command(self, source: Source, twist: Twist2D, now: float) -> bool:
         """Take a command; False when it is refused and counted because it is not finite.
@@ -52,8 +53,18 @@ class VelocityMux:
             self.refused[source] += 1
             self._commands.pop(source, None)
             return False
+        if source == "teleop":
+            self._note_key(twist, now)
         self._commands[source] = (now, twist)
         return True
+
+    def _note_key(self, twist: Twist2D, now: float) -> None:
+        """A key that was pressed on the way does not drive on from the goal, before it was let go."""
+        at, _ = self._commands.get("teleop", (-math.inf, Twist2D()))
+        if twist == Twist2D() or not 0.0 <= now - at < self._timeouts["teleop"]:
+            self._let_go = True
+        if twist != Twist2D() and self.hands != "free":
+            self._let_go = False
 
     def step(self, now: float) -> Twist2D:
         """The command at ``now`` in s; towards a stand when no source is fresh, as after time jumped back."""
@@ -79,7 +90,7 @@ class VelocityMux:
         """Whether a source has a fresh command that it may give."""
         at, twist = self._commands.get(source, (math.inf, Twist2D()))
         stops = self.hands == "off" and twist == Twist2D()
-        may = source != "teleop" or self.hands == "free" or stops
+        may = source != "teleop" or (self.hands == "free" and self._let_go) or stops
         return may and 0.0 <= now - at < self._timeouts[source]
 
 

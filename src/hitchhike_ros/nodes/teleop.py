@@ -4,8 +4,9 @@ The first key that moves or stops the robot takes it in hand: it then does not d
 back or leaves. On the way to its goal, alone or with riders, its obstacle_avoidance follows what the human wants within
 the protocol's limits; where a driver aligns, waits or hands over, it does so by itself.
 
-Keys: w or up straight on, s or down back, a or left and d or right a curve (on the spot where the robot stands),
-space stop, e or + faster, q or - slower, x gives the robot back to its own navigation, Ctrl-C or Ctrl-D too and ends.
+Keys: w or up straight on, s or down back (not on the way to a goal), a or left and d or right a curve (on the spot
+where the robot stands), space stop, e or + faster, q or - slower, x gives the robot back to its own navigation, Ctrl-C
+or Ctrl-D too and ends.
 A motion ends when no key has come for the dead-man time.
 
 Subscribed:
