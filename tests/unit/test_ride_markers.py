@@ -22,9 +22,9 @@ def test_a_robot_of_which_nothing_was_heard_is_not_drawn() -> None:
     assert list(_of_robot(_Robot("turtlebot"), 1.0)) == []
 
 
-def test_state_and_reason_stand_over_the_robot_in_its_own_frame() -> None:
+def test_state_and_reason_stand_beside_the_robot_in_its_own_frame() -> None:
     status = Status(1.0, "turtlebot", "hitchhiker", "awaiting_aligned", "Driver is late")
-    (marker,) = _of_robot(_Robot("turtlebot", status), 1.0)
+    (marker,) = _of_robot(_Robot("turtlebot", status=status), 1.0)
     assert (marker.header.frame_id, marker.text) == (
         "turtlebot/base_footprint",
         "turtlebot: awaiting aligned\nDriver is late",
@@ -33,7 +33,7 @@ def test_state_and_reason_stand_over_the_robot_in_its_own_frame() -> None:
 
 def test_the_line_goes_to_the_marker_that_is_followed_while_it_is_seen() -> None:
     status = Status(1.0, "turtlebot", "hitchhiker", "riding", servo=ServoCommand("follow", 0))
-    robot = _Robot("turtlebot", status, seen=(_seen(5.0, 0), _seen(5.0, 7)))
+    robot = _Robot("turtlebot", status=status, seen=(_seen(5.0, 0), _seen(5.0, 7)))
     lines = [m for m in _of_robot(robot, 5.2) if m.ns == "gap" and m.type == Marker.LINE_LIST]
     assert [(p.x, p.y) for p in lines[0].points] == [(0.0, 0.0), (0.6, 0.8)]
     assert len(lines) == 1

@@ -4,7 +4,7 @@ Subscribed, for each robot:
     /<robot>/hhike_msg/status, /<robot>/new_obstacles, /<robot>/visual_servoing/observations (std_msgs/String)
 Published:
     ride_markers (visualization_msgs/MarkerArray, latched): hitchhiking points and each robot's new boxes, in map; its
-        state and reason over it, and while it follows a marker the line to that from its middle with its length, both
+        state and reason beside it, and while it follows a marker the line to that from its middle with its length, both
         in <robot>/base_footprint
 Parameters:
     ~world (path): its hitchhiking points and robots
@@ -41,7 +41,7 @@ _GREEN, _ORANGE, _BLUE = (
     ColorRGBA(0.0, 0.45, 0.7, 1.0),
 )
 _BLACK = ColorRGBA(0.0, 0.0, 0.0, 1.0)
-_TEXT_M, _LINE_M, _BOX_HEIGHT_M, _ABOVE_M = 0.3, 0.04, 0.4, 0.9
+_TEXT_M, _LINE_M, _BOX_HEIGHT_M, _ABOVE_M, _BESIDE_M = 0.3, 0.04, 0.4, 0.9, 0.8
 _ARROW = Vector3(0.5, 0.08, 0.08)
 _OLD_S = 1.0  # a marker that was seen longer ago is not shown
 
@@ -58,6 +58,7 @@ class _Robot:
     """What it said last."""
 
     name: str
+    beside_m: float = _BESIDE_M  # from its middle to the left, where its text stands
     status: Status | None = None
     boxes: tuple[Obstacle, ...] = ()
     seen: tuple[MarkerObservation, ...] = ()
@@ -75,7 +76,8 @@ class RideMarkers:
         self._places = world.sites.hitchhiking_points
         self._lock = threading.Lock()
         self._publisher = rospy.Publisher("ride_markers", MarkerArray, queue_size=1, latch=True)
-        self._robots = [_Robot(name) for name in names]
+        # One to the left, the next to the right: who rides together is near.
+        self._robots = [_Robot(name, -_BESIDE_M if k % 2 else _BESIDE_M) for k, name in enumerate(names)]
         for robot in self._robots:
             for topic, callback in (
                 ("hhike_msg/status", self._on_status),
@@ -147,7 +149,7 @@ def _of_robot(robot: _Robot, now: float) -> Iterator[Marker]:
     if status is None:
         return
     said = f"{robot.name}: {status.state.replace('_', ' ')}" + (f"\n{status.reason}" if status.reason else "")
-    yield _text(frame, "state", _BLACK, 0.0, 0.0, _ABOVE_M, said)
+    yield _text(frame, "state", _BLACK, 0.0, robot.beside_m, _ABOVE_M, said)
     servo = status.servo
     if servo is None or servo.task != "follow":
         return
