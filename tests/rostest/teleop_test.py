@@ -165,6 +165,10 @@ class TeleopTest(unittest.TestCase):
             while time.monotonic() < end:
                 self.assertFalse(moves(), state)
         self.say()
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:
+            self.assertFalse(moves(), "a key that is still held does not drive on")
+        self.until(lambda: self.newest() == (0.0, 0.0), "let go")
         self.until(moves, "it is driven again")
 
     def test_it_gives_the_robot_back(self) -> None:
