@@ -12,6 +12,7 @@ from matplotlib.image import imread
 
 from hitchhike_ros.errors import ParameterError, WorldFileError
 from hitchhike_ros.experiments.grid_waits import DRIVERS, Job, orders, run, scenario_of
+from hitchhike_ros.geometry import path_length
 from hitchhike_ros.simulation.grid_drawing import Recorder, animate, draw_state
 from hitchhike_ros.simulation.grid_scenario import Fleet, build, load_scenario
 
@@ -138,15 +139,16 @@ def test_drivers_that_deny_stand_where_the_paper_says(driver: str, metres: float
     scenario = load_scenario(MAPS / "p18_grid_priority.scenario.yaml")
     world = build(scenario)
     hitchhiker, start = scenario.robots["H"].start, scenario.robots[driver].start
-    assert world.paths.metres((start.x, start.y), (hitchhiker.x, hitchhiker.y)) == pytest.approx(metres, abs=0.02)
+    path = world.paths.plan((start.x, start.y), (hitchhiker.x, hitchhiker.y))
+    assert path_length(path) == pytest.approx(metres, abs=0.02)
     assert scenario.parameters(scenario.robots[driver], 0).cruise_speed_mps == 0.5
 
 
 def test_the_first_driver_is_225_cells_from_the_hitchhiking_point() -> None:
     world = build(load_scenario(MAPS / "p18_grid_speed.scenario.yaml"))
     driver, (point,) = world.robots["D1"].start, world.sites.hitchhiking_points
-    metres = world.paths.metres((driver.x, driver.y), (point.aligning_pose.x, point.aligning_pose.y))
-    assert metres / 0.25 == pytest.approx(225.0, abs=0.1)
+    path = world.paths.plan((driver.x, driver.y), (point.aligning_pose.x, point.aligning_pose.y))
+    assert path_length(path) / 0.25 == pytest.approx(225.0, abs=0.1)
 
 
 def test_waits_without_and_with_a_network() -> None:

@@ -76,6 +76,17 @@ class OwnPath:
             return math.hypot(x - ax, y - ay), arc
         return best_away, best_arc
 
+    def all_nearest(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As :meth:`nearest` of the whole path, for all ``places`` (K, 2) at once: distances (K,) and arcs (K,)."""
+        begin, along = self.points[:-1], np.diff(self.points, axis=0)
+        if not len(along):
+            return np.hypot(*(places - self.points[0]).T), np.zeros(len(places))
+        offset = places[:, None] - begin  # (K, segments, 2)
+        share = np.clip((offset * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), _STEP_M**2), 0.0, 1.0)
+        away = np.hypot(*np.moveaxis(offset - share[:, :, None] * along, 2, 0))
+        each, best = np.arange(len(places)), away.argmin(axis=1)
+        return away[each, best], self.arcs[best] + share[each, best] * np.diff(self.arcs)[best]
+
     def ahead(self, from_m: float) -> tuple[FloatArray, FloatArray]:
         """Points (M, 2) and arcs (M,) from ``from_m`` on, M >= 1."""
         later = self.arcs > from_m + _STEP_M

@@ -258,10 +258,13 @@ class DriverMachine(Machine[DriverState]):
     @property
     def free_places(self) -> int:
         """For hitchhikers who might ask now."""
+        if not self.params.may_drive or self.params.priority >= TIME_CRITICAL_PRIORITY:
+            return 0
+        if self.state is S.NAVIGATING:
+            return self.params.places
         riders = tuple(self._convoy)
-        open_to_more = self.state is S.NAVIGATING or (self.state in (S.ALIGNING, S.ALIGNED) and riders[-1].plate)
-        willing = self.params.may_drive and self.params.priority < TIME_CRITICAL_PRIORITY
-        return self.params.places - len(riders) if willing and open_to_more else 0
+        open_to_more = self.state in (S.ALIGNING, S.ALIGNED) and riders[-1].plate
+        return self.params.places - len(riders) if open_to_more else 0
 
     def announced(self) -> tuple[Waypoint, ...]:
         """The way on which it would take a hitchhiker along, and when: from here, or from where it aligns."""

@@ -79,10 +79,10 @@ class Boardings:
         if params.board_anywhere:
             self._at = self._arcs
             return
-        found = [(p.waiting_pose, *path.nearest(p.waiting_pose.x, p.waiting_pose.y)) for p in sites.hitchhiking_points]
-        self._at = np.array(
-            [arc for pose, away, arc in found if away <= _SITE_M and math.cos(path.at(arc).theta - pose.theta) > 0.0]
-        )
+        places = _places(sites)
+        away, arcs = path.all_nearest(places[:, :2])
+        passed = [(arcs[k], places[k, 2]) for k in np.flatnonzero(away <= _SITE_M).tolist()]
+        self._at = np.array([arc for arc, theta in passed if math.cos(path.at(arc).theta - theta) > 0.0])
 
     def serve(self, goal: Pose2D) -> bool:
         """Whether a ride longer than T_dhh, from where the robot is on, takes one nearer to ``goal``."""
@@ -124,11 +124,11 @@ def choose(
             return None  # navigation will find out, and say why
 
     best = plan(usable)
-    if best is not None and params.own_policy != "arrival":
+    if best is None or not best.rides:
+        return None  # nor with one of them alone
+    if params.own_policy != "arrival" and len(usable) > 1:
         preferred = _preferred(usable, start, offers, params.own_policy, metres)
         best = next(filter(None, (_with(driver, best, plan) for driver in preferred)), best)
-    if best is None or not best.rides:
-        return None
     return _meeting(best, offers, sites, params, now)
 
 

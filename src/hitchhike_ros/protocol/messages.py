@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from hitchhike_ros.datatypes import NonNegative, Obstacle, Pose2D, Positive
 from hitchhike_ros.errors import MessageError
@@ -386,10 +387,10 @@ def decode(text: str) -> Message:
     return message
 
 
-def covariance_rows(covariance: object) -> Covariance:
+def covariance_rows(covariance: npt.ArrayLike) -> Covariance:
     """A 3 x 3 array as the nested tuple that messages carry."""
-    rows = [tuple(float(v) for v in row) for row in covariance]  # type: ignore[attr-defined]
-    return msgspec.convert(rows, Covariance)
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(covariance, dtype=float).tolist()
+    return (a, b, c), (d, e, f), (g, h, i)
 
 
 def _is_covariance(sigma: Covariance) -> bool:

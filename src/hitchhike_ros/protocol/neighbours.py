@@ -18,16 +18,20 @@ class Neighbours:
 
     def __init__(self) -> None:
         self._beacons: dict[str, tuple[Beacon, float]] = {}
-        self._places: dict[str, tuple[Pose2D, float]] = {}  # that other messages told, or that were seen
+        self._places: dict[str, tuple[Pose2D | PoseFields, float]] = {}  # that other messages told, or that were seen
 
     def hear(self, message: Message, now: float) -> None:
         """Take any message of another robot."""
         if isinstance(message, Beacon):
-            if message.pose is None and (place := self._place(message.robot_id)) is not None:
-                self._places[message.robot_id] = place  # the beacon before may have told it
-            self._beacons[message.robot_id] = message, now
+            self.put_away(message, (message, now))
         elif isinstance(message, PoseFields):
-            self._places[message.robot_id] = message.pose, now
+            self._places[message.robot_id] = message, now
+
+    def put_away(self, beacon: Beacon, heard: tuple[Beacon, float]) -> None:
+        """Take a beacon, with the time when it came."""
+        if beacon.pose is None and (place := self._place(beacon.robot_id)) is not None:
+            self._places[beacon.robot_id] = place  # the beacon before may have told it
+        self._beacons[beacon.robot_id] = heard
 
     def saw(self, robot_id: str, place: Pose2D, now: float) -> None:
         """A robot was seen at ``place`` in ``map``: what it said last may be metres old."""
@@ -57,10 +61,11 @@ class Neighbours:
 
     def forget(self, before: float) -> None:
         """Of whom nothing was heard since ``before`` is gone."""
-        self._beacons = {name: heard for name, heard in self._beacons.items() if heard[1] >= before}
-        self._places = {name: place for name, place in self._places.items() if place[1] >= before}
+        for heard in (self._beacons, self._places):
+            for name in [name for name, (_, at) in heard.items() if at < before]:
+                del heard[name]
 
-    def _place(self, name: str) -> tuple[Pose2D, float] | None:
+    def _place(self, name: str) -> tuple[Pose2D | PoseFields, float] | None:
         """Where a robot was last, and when that was heard."""
         told, heard = self._places.get(name), self._beacons.get(name)
         if heard is None or heard[0].pose is None or (told is not None and told[1] > heard[1]):

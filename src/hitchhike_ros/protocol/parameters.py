@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Literal
 
 import msgspec
@@ -88,7 +89,7 @@ class HitchhikingParameters:
         """Who is in a hurry takes the nearest driver (P18 §4)."""
         return "proximity" if self.priority > USUAL_PRIORITY else self.policy
 
-    @property
+    @cached_property
     def mounting(self) -> FloatArray:
         """Covariance (3, 3) in (x, y, theta) of where a plate is mounted."""
         return np.diag(np.square([self.mounting_sigma_m, self.mounting_sigma_m, self.mounting_sigma_rad]))

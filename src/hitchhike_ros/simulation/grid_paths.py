@@ -32,9 +32,7 @@ Known = tuple[str, ...]
 
 # A robot that finds itself nearer to an obstacle than it may drive looks so far for a way out (chosen).
 _WAY_OUT_M = 1.5
-# So many distances are remembered; then they are all forgotten (chosen).
-_DISTANCES = 200_000
-# So many searches are kept, at 3 MB each on the map of P18 §8.1.
+# So many searches are kept, at 4 MB each on the map of P18 §8.1.
 _SEARCHES = 160
 
 
@@ -57,8 +55,7 @@ class GridPaths:
         self._solid = solid
         self._free_m = distance_to(solid, grid.resolution)
         self._costs: dict[Known, CostArray] = {}
-        self._metres: dict[tuple[Known, Cell, Cell], float] = {}
-        self._searches: OrderedDict[tuple[Known, Cell], DStarLite] = OrderedDict()
+        self._searches: OrderedDict[tuple[Known, Cell], _Search] = OrderedDict()
         self._origin, self._resolution = (grid.origin.x, grid.origin.y), grid.resolution
         if grid.origin.theta:
             raise ValueError(f"grid is turned by {grid.origin.theta} rad, expected 0")
@@ -88,25 +85,29 @@ class GridPaths:
         return path
 
     def metres(self, start: Point, goal: Point, known: Known = ()) -> float:
-        """Length of the path, to a cell; infinite where there is none. Asked again it costs nothing."""
-        key = known, self.cell(*start), self.cell(*goal)
-        metres = self._metres.get(key)
-        if metres is None:
-            try:
-                metres = self._length(start, goal, self._cells(start, goal, known))
-            except PlanningError:
-                metres = math.inf
-            if len(self._metres) >= _DISTANCES:
-                self._metres.clear()
-            self._metres[key] = metres
-        return metres
+        """Length of the path from cell to cell, to within a cell; infinite where there is none."""
+        return float(self.all_metres(np.array([start]), np.array([goal]), known)[0, 0])
 
     def all_metres(self, sources: FloatArray, targets: FloatArray, known: Known = ()) -> FloatArray:
-        """As :meth:`metres`, (A, B) from each of the sources (A, 2) to each of the targets (B, 2)."""
-        ends = [(x, y) for x, y in targets.tolist()]
-        return np.array([[self.metres((x, y), end, known) for end in ends] for x, y in sources.tolist()]).reshape(
-            len(sources), len(targets)
-        )
+        """As :meth:`metres`, (A, B) from each of the sources (A, 2) to each of the targets (B, 2).
+
+        A path tells how far it is from each of its cells, and to within a cell from those beside, so most answers are
+        there already.
+        """
+        found = np.full((len(sources), len(targets)), np.inf)
+        rows, columns = np.floor((sources - self._origin) / self._resolution + 1e-9).astype(int).T[::-1]
+        on_map = (rows >= 0) & (rows < self.grid.height) & (columns >= 0) & (columns < self.grid.width)
+        rows, columns = rows[on_map], columns[on_map]
+        for j, goal in enumerate(targets.tolist()):
+            try:
+                search = self._search(goal, known)
+            except PlanningError:
+                continue
+            metres = search.metres[rows, columns]
+            for k in np.flatnonzero(np.isnan(metres)).tolist():
+                metres[k] = self._metres_from((int(rows[k]), int(columns[k])), search, known)
+            found[on_map, j] = metres
+        return found
 
     def free(self, at: Point) -> bool:
         """Whether a robot may be there, for all that is in the map."""
@@ -145,41 +146,49 @@ class GridPaths:
 
     def _cells(self, start: Point, goal: Point, known: Known) -> CellArray:
         """The cells (N, 2) of a path behind that of ``start``, up to that of ``goal``; errors as of :meth:`plan`."""
-        from_cell, to_cell = self._on_map("start", start), self._on_map("goal", goal)
-        cost = self._cost(known)
-        if not math.isfinite(cost[to_cell]):
-            raise GoalBlockedError(f"goal ({goal[0]:.2f}, {goal[1]:.2f}) is too near to an obstacle")
+        from_cell, search, cost = self._on_map("start", start), self._search(goal, known), self._cost(known)
         leaves = not math.isfinite(cost[from_cell])
         if leaves:
             from_cell = self._way_out(cost, from_cell, start)
-        search = self._searches.get((known, to_cell))
-        if search is None:
-            search = self._searches[known, to_cell] = DStarLite(cost)
-            found = search.plan(from_cell, to_cell)
-            if len(self._searches) > _SEARCHES:
-                self._searches.popitem(last=False)
-        else:
-            self._searches.move_to_end((known, to_cell))
-            found = search.move(from_cell)
-        if not len(found.cells):
+        cells = search.cells(from_cell)
+        if not len(cells):
             raise UnreachableError(
                 f"no way from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f}) "
                 f"that is {2 * self.clearance_m:.2f} m wide"
             )
-        return found.cells if leaves else found.cells[1:]
+        return cells if leaves else cells[1:]
 
-    def _length(self, start: Point, goal: Point, cells: CellArray) -> float:
-        """Of the path over ``cells`` (N, 2), in m."""
-        if len(cells) < 2:
-            return math.dist(start, goal)
-        steps = cells[1:-1] != cells[:-2]
-        diagonal = int(np.count_nonzero(steps[:, 0] & steps[:, 1]))
-        first, last = (self._middle(cells[k]) for k in (0, -2))
-        between = self._resolution * (len(steps) + (math.sqrt(2.0) - 1.0) * diagonal)
-        return math.dist(start, first) + between + math.dist(last, goal)
+    def _metres_from(self, cell: Cell, search: _Search, known: Known) -> float:
+        """What no path has told yet; from a cell where a robot may not be, by the way out."""
+        if (beside := search.metres_beside(cell)) is not None:
+            return beside
+        cost, out = self._cost(known), cell
+        if not math.isfinite(cost[cell]):
+            try:
+                out = self._way_out(cost, cell, self._middle(cell))
+            except StartBlockedError:
+                return math.inf
+        search.cells(out)
+        search.metres[cell] = search.metres[out] + math.dist(cell, out) * self._resolution
+        return float(search.metres[cell])
 
-    def _middle(self, cell: CellArray) -> Point:
-        row, column = cell.tolist()
+    def _search(self, goal: Point, known: Known) -> _Search:
+        """That to ``goal``; raises OutsideMapError and GoalBlockedError as :meth:`plan`."""
+        to_cell = self._on_map("goal", goal)
+        search = self._searches.get((known, to_cell))
+        if search is None:
+            cost = self._cost(known)
+            if not math.isfinite(cost[to_cell]):
+                raise GoalBlockedError(f"goal ({goal[0]:.2f}, {goal[1]:.2f}) is too near to an obstacle")
+            search = self._searches[known, to_cell] = _Search(cost, to_cell, self._resolution)
+            if len(self._searches) > _SEARCHES:
+                self._searches.popitem(last=False)
+        else:
+            self._searches.move_to_end((known, to_cell))
+        return search
+
+    def _middle(self, cell: Cell) -> Point:
+        row, column = cell
         return (column + 0.5) * self._resolution + self._origin[0], (row + 0.5) * self._resolution + self._origin[1]
 
     def _on_map(self, name: str, point: Point) -> Cell:
@@ -213,6 +222,39 @@ class GridPaths:
             raise StartBlockedError(f"start ({start[0]:.2f}, {start[1]:.2f}) is closed in by obstacles")
         row, column = free[apart.argmin()]
         return int(row), int(column)
+
+
+class _Search:
+    """The paths to one goal, and how long they are from every cell of those that were asked for."""
+
+    def __init__(self, cost: CostArray, goal: Cell, resolution: float) -> None:
+        self._dstar, self._goal, self._resolution = DStarLite(cost), goal, resolution
+        self._begun = False
+        self.metres = np.full(cost.shape, np.nan, dtype=np.float32)  # (H, W); NaN where no path has come by
+        self._planned = np.zeros(cost.shape, dtype=bool)  # cells of paths
+
+    def cells(self, start: Cell) -> CellArray:
+        """From ``start`` to the goal, (N, 2); none where there is no way."""
+        found = self._dstar.move(start) if self._begun else self._dstar.plan(start, self._goal)
+        self._begun = True
+        cells = found.cells
+        if not len(cells):
+            self.metres[start] = np.inf
+        elif math.isnan(self.metres[start]):
+            steps = cells[1:] != cells[:-1]
+            lengths = np.where(steps.all(axis=1), math.sqrt(2.0), 1.0) * self._resolution
+            self.metres[cells[:, 0], cells[:, 1]] = np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
+            self._planned[cells[:, 0], cells[:, 1]] = True
+        return cells
+
+    def metres_beside(self, cell: Cell) -> float | None:
+        """By way of the best cell beside this one on a path that was planned; None where there is none."""
+        rows, columns = (slice(max(k - 1, 0), k + 2) for k in cell)
+        planned = self._planned[rows, columns]
+        if not planned.any():
+            return None
+        self.metres[cell] = self.metres[rows, columns][planned].min() + self._resolution
+        return float(self.metres[cell])
 
 
 def corners(path: FloatArray) -> FloatArray:

@@ -442,11 +442,12 @@ class GridWorld:
     def _arrive_beacon(self, beacon: Beacon, robots: Sequence[GridRobot]) -> None:
         """By far the most frequent: it changes nothing but what is remembered, so the loop is kept short."""
         now, sender, order = self.now, beacon.robot_id, (beacon.time_stamp, beacon.seq)
-        watched, plain = bool(self.observers or self.params.trace_events), self._plain
+        watched, plain, heard = bool(self.observers or self.params.trace_events), self._plain, (beacon, self.now)
         for robot in robots:
             # Of a plain network messages come once, and in order.
             if robot.alive and (plain or robot.inbox.is_new(sender, order)):
-                robot.traveller.neighbours.hear(beacon, now + robot.clock_offset_s)
+                offset = robot.clock_offset_s
+                robot.traveller.neighbours.put_away(beacon, (beacon, now + offset) if offset else heard)
                 if watched:
                     self._tell(robot, beacon, ())
         self.deliveries += len(robots)
@@ -518,9 +519,10 @@ class GridWorld:
         if message.to != EVERYBODY:
             robot = self.robots.get(message.to)
             if robot is not None and robot is not sender:
-                robot.body.advance(now)
-                sender.body.advance(now)
-                apart = math.hypot(robot.body.x - sender.body.x, robot.body.y - sender.body.y)
+                body, other = sender.body, robot.body
+                other.advance(now)
+                body.advance(now)
+                apart = math.hypot(other.x - body.x, other.y - body.y)
                 for time in self.network.deliveries(now, name, robot.name, apart):
                     self._push(max(time, now), self._arrive, (sent, [robot]))
             return
