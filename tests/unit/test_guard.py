@@ -73,3 +73,24 @@ def test_an_old_scan_or_one_that_cannot_be_read_lets_everything_pass():
     assert g.limit(2.0, Twist2D(0.5)) == (Twist2D(0.5), False)
     g.see(LaserScan(0.1, 0.0, 0.01, 0.02, 8.0, np.full(10, math.nan)))
     assert g.limit(0.1, Twist2D(0.5)) == (Twist2D(0.5), False)
+
+
+@settings(max_examples=200)
+@given(
+    st.lists(st.tuples(st.floats(0.1, 1.6), st.floats(-1.2, 1.2), st.floats(0.03, 0.3)), min_size=1, max_size=3),
+    st.floats(0.05, 0.7),
+    st.floats(-3.0, 3.0),
+)
+def test_what_is_taken_for_out_of_reach_would_have_passed(discs, v, omega):
+    quick, whole = guard(*discs), guard(*discs)
+    whole._nearest_m = 0.0  # as if something were near, so that everything is computed
+    assert quick.limit(0.0, Twist2D(v, omega)) == whole.limit(0.0, Twist2D(v, omega))
+
+
+def test_while_nothing_is_near_no_field_of_distances_is_computed():
+    g = guard((1.1, 0.0, 0.2), (0.0, 1.0, 0.1), (0.0, -1.0, 0.1))
+    assert g.limit(0.1, Twist2D(0.5)) == (Twist2D(0.5), False)
+    assert g._field is None
+    g.see(scan((0.55, 0.0, 0.1)))
+    g.limit(0.1, Twist2D(0.5))
+    assert g._field is not None

@@ -18,10 +18,10 @@ from hitchhike_ros.robot_model import RobotLimits
 
 # A scan older than this says nothing; between scan and command pass so many seconds (chosen).
 _MAX_AGE_S, _REACTION_S = 0.5, 0.2
-# So near it comes on purpose; a field of distances is right to 2.5 cm (chosen).
-_MARGIN_M = 0.06
+# So near it comes on purpose (chosen); a field of distances is right to half a cell, 2.5 cm, and so is where it stands.
+_MARGIN_M, _GRID_M = 0.06, 0.05
 _MAX_NAN_FRACTION = 0.1
-_SHARES = np.array([1.0, 0.75, 0.5, 0.25])
+_SHARES = (1.0, 0.75, 0.5, 0.25)
 # The wheels brake harder than they speed up: velocity_mux lets them (chosen: what every base of the package can do).
 _BRAKING = 2.0
 
@@ -37,31 +37,50 @@ class Guard:
             max_yaw_acceleration_rps2=_BRAKING * limits.max_yaw_acceleration_rps2,
         )
         self._footprint = Footprint(limits)
-        self._field: ClearanceField | None = None
-        self._stamp = -math.inf
+        self._body_m = limits.circumscribed_m + math.hypot(T_base_laser.x, T_base_laser.y)
+        self._scan: LaserScan | None = None
+        self._nearest_m = math.inf  # of the newest scan's beams, from the laser
+        self._field: ClearanceField | None = None  # of the newest scan, once that is needed
 
     def see(self, scan: LaserScan) -> None:
         """The newest scan; one that cannot be used counts as none."""
-        try:
-            points = scan_points(scan, _MAX_NAN_FRACTION)
-        except SensorDataError:
-            self._field = None
-            return
-        self._field, self._stamp = ClearanceField(transform_points(self._T_base_laser, points)), scan.stamp
+        self._scan, self._field = scan, None
+        self._nearest_m = float(np.fmin.reduce(scan.ranges, initial=math.inf))
 
     def limit(self, now: float, twist: Twist2D) -> tuple[Twist2D, bool]:
         """``twist`` scaled down until the robot can brake before contact, and whether that was needed.
 
         Nearer than the margin to something, what comes no closer is still allowed.
         """
-        if self._field is None or not now - self._stamp <= _MAX_AGE_S or twist == Twist2D():
+        if self._scan is None or not now - self._scan.stamp <= _MAX_AGE_S or twist == Twist2D():
             return twist, False
-        clearance = float(self._field.clearance(self._footprint, np.zeros(3)))
+        if self._nearest_m > self._reach_m(twist):
+            return twist, False
+        field = self._clearances()
+        if field is None:
+            return twist, False
+        clearance = float(field.clearance(self._footprint, np.zeros(3)))
         floor = min(_MARGIN_M, clearance - 0.005)
-        targets = _SHARES[:, None] * np.array([twist.v, twist.omega])
-        safe = np.flatnonzero([self._stops_clear(self._field, target, floor) for target in targets])
-        share = float(_SHARES[safe[0]]) if len(safe) else 0.0
+        velocity = np.array([twist.v, twist.omega])
+        share = next((share for share in _SHARES if self._stops_clear(field, share * velocity, floor)), 0.0)
         return Twist2D(share * twist.v, share * twist.omega), share < 1.0
+
+    def _reach_m(self, twist: Twist2D) -> float:
+        """What is farther from the laser than this stays clear until the robot stands, whichever way it goes: as a rule
+        that is everything, and nothing more is to be computed."""
+        travel = abs(twist.v) * _REACTION_S + twist.v**2 / (2.0 * self._braking.max_acceleration_mps2)
+        return self._body_m + _MARGIN_M + _GRID_M + travel
+
+    def _clearances(self) -> ClearanceField | None:
+        """Of the newest scan; None where it cannot be used."""
+        if self._field is None and self._scan is not None:
+            try:
+                points = scan_points(self._scan, _MAX_NAN_FRACTION)
+            except SensorDataError:
+                self._scan = None
+                return None
+            self._field = ClearanceField(transform_points(self._T_base_laser, points))
+        return self._field
 
     def _stops_clear(self, field: ClearanceField, velocity: FloatArray, floor: float) -> bool:
         """Whether a robot that drives at ``velocity`` (2,) can brake to a stand and stay ``floor`` m clear."""
