@@ -219,7 +219,7 @@ class HitchhikeComm:
             navigation = self._planning if self._planning.state == "failed" else self._navigation
         if estimate is not None and now - estimate.stamp > _ESTIMATE_AGE_S:
             estimate = None
-        servo = self._traveller.status(now).servo
+        servo = None if self._published is None else self._published.servo
         seen = next((o for o in observations.markers if servo is not None and o.marker_id == servo.marker_id), None)
         with self._lock:
             seen_from = None if seen is None else self._odometry.at(seen.stamp)

@@ -9,9 +9,10 @@ Per robot, in its namespace
         cmd_vel (geometry_msgs/Twist): stops 0.5 s of simulated time after the last one
         hhike_msg/status (std_msgs/String), lockstep/answer (std_msgs/Header): for lock-step
     Published:
-        odom (nav_msgs/Odometry), ground_truth (nav_msgs/Odometry, in ``map``), joint_states (sensor_msgs/JointState)
+        odom (nav_msgs/Odometry), ground_truth (nav_msgs/Odometry, in ``map``)
         scan (sensor_msgs/LaserScan)
-        camera/image_raw (sensor_msgs/Image, rgb8), camera/camera_info (sensor_msgs/CameraInfo)
+        camera/image_raw (sensor_msgs/Image, rgb8), camera/image_mono (the same in mono8, as image_proc has it),
+            camera/camera_info (sensor_msgs/CameraInfo)
         camera/depth/image_raw (sensor_msgs/Image, 32FC1 in m, NaN for no reading), camera/depth/camera_info: where the
             robot has a depth camera
 Subscribed:
@@ -30,7 +31,7 @@ Parameters:
     ~lockstep (bool, default: ``/lockstep``, else false)
     ~package (path, default: this package): folder with urdf/<model>.urdf and config/<model>.yaml
     the fields of SimulatorParameters and of simulation.world.WorldParameters, with their defaults
-TF: odom -> base_footprint of every robot, with the robot's name before both.
+TF: odom -> base_footprint, base_link -> wheel_left and wheel_right of every robot, with its name before each.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import cv2
 import msgspec
 import rospkg
 import rospy
@@ -52,7 +54,7 @@ from geometry_msgs.msg import Transform, TransformStamped, Twist, Vector3
 from nav_msgs.msg import Odometry as OdometryMsg
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import Image
 from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerRequest, TriggerResponse
@@ -70,6 +72,7 @@ from hitchhike_ros.ros_io.conversions import (
     quaternion_from_yaw,
     scan_to_msg,
     to_stamp,
+    transform_from_matrix,
     twist_from_msg,
 )
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
@@ -91,11 +94,11 @@ class SimulatorParameters:
     module, for one that has not answered yet since it was switched on, and how often the real-time factor is printed.
     """
 
-    clock_rate_hz: Rate = 20
+    clock_rate_hz: Rate = 10
     scan_rate_hz: Rate = 10
     image_rate_hz: Rate = 10
     depth_rate_hz: Rate = 5
-    joint_state_rate_hz: Rate = 5
+    wheel_rate_hz: Rate = 5
     max_real_time_factor: NonNegative = 0.0
     answer_timeout_s: Positive = 5.0
     join_timeout_s: Positive = 0.5
@@ -112,9 +115,9 @@ class RobotTopics:
         name = robot.name
         self._odom = _publisher(f"{name}/odom", OdometryMsg)
         self._truth = _publisher(f"{name}/ground_truth", OdometryMsg)
-        self._joints = _publisher(f"{name}/joint_states", JointState)
         self._scan = _publisher(f"{name}/scan", LaserScanMsg)
         self._image = _publisher(f"{name}/camera/image_raw", Image)
+        self._mono = _publisher(f"{name}/camera/image_mono", Image)
         self._info = _publisher(f"{name}/camera/camera_info", CameraInfoMsg)
         if robot.has_depth_camera:
             self._depth = _publisher(f"{name}/camera/depth/image_raw", Image)
@@ -145,9 +148,13 @@ class RobotTopics:
         transform = Transform(Vector3(odometry.pose.x, odometry.pose.y, 0.0), quaternion_from_yaw(odometry.pose.theta))
         return TransformStamped(header(odometry.stamp, f"{name}/odom"), f"{name}/base_footprint", transform)
 
-    def publish_joints(self, now: float) -> None:
-        names = ["wheel_left_joint", "wheel_right_joint"]
-        self._joints.publish(JointState(header(now, ""), names, list(self.robot.wheel_angles()), [], []))
+    def wheel_transforms(self, now: float) -> list[TransformStamped]:
+        """Of its wheels, for TF."""
+        name = self.robot.name
+        return [
+            TransformStamped(header(now, f"{name}/base_link"), f"{name}/{wheel}", transform_from_matrix(T))
+            for wheel, T in self.robot.wheel_mounts().items()
+        ]
 
     def listened(self) -> bool:
         """Whether anybody subscribes the scan."""
@@ -157,13 +164,17 @@ class RobotTopics:
         self._scan.publish(scan_to_msg(self.robot.scan(), f"{self.robot.name}/laser"))
 
     def watched(self) -> bool:
-        """Whether anybody subscribes the image."""
-        return bool(self._image.get_num_connections())
+        """Whether anybody subscribes the image, in colours or grey."""
+        return bool(self._image.get_num_connections() or self._mono.get_num_connections())
 
     def publish_image(self, now: float) -> None:
         frame = f"{self.robot.name}/camera_optical"
         self._info.publish(camera_info_to_msg(self.robot.camera_info, now, frame))
-        self._image.publish(image_to_msg(self.robot.camera(), now, frame, "rgb8"))
+        image = self.robot.camera()
+        if self._image.get_num_connections():
+            self._image.publish(image_to_msg(image, now, frame, "rgb8"))
+        if self._mono.get_num_connections():
+            self._mono.publish(image_to_msg(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), now, frame, "mono8"))
 
     def publish_depth(self, now: float) -> None:
         if self.robot.has_depth_camera and self._depth.get_num_connections():
@@ -181,7 +192,7 @@ class Simulator:
         self._steps = _ratio("clock_rate_hz", world_params.physics_rate_hz, self._params.clock_rate_hz)
         self._every = {
             name: _ratio(name, self._params.clock_rate_hz, getattr(self._params, name))
-            for name in ("scan_rate_hz", "image_rate_hz", "depth_rate_hz", "joint_state_rate_hz")
+            for name in ("scan_rate_hz", "image_rate_hz", "depth_rate_hz", "wheel_rate_hz")
         }
         package = rospy.get_param("~package", "") or rospkg.RosPack().get_path("hitchhike_ros")
         seed = rospy.get_param("~seed", 0)
@@ -242,7 +253,10 @@ class Simulator:
         self._ticks += 1
         now = self._world.now
         self._clock.publish(Clock(to_stamp(now)))
-        self._tf.publish(TFMessage([robot.publish_state(now) for robot in self._robots]))
+        frames = [robot.publish_state(now) for robot in self._robots]
+        if self._due("wheel_rate_hz"):
+            frames += [wheel for robot in self._robots for wheel in robot.wheel_transforms(now)]
+        self._tf.publish(TFMessage(frames))
         if self._due("scan_rate_hz"):
             for robot in self._robots:
                 if robot.listened():
@@ -255,8 +269,6 @@ class Simulator:
                 robot.publish_image(now)
             if self._due("depth_rate_hz"):
                 robot.publish_depth(now)
-            if self._due("joint_state_rate_hz"):
-                robot.publish_joints(now)
         self._publish_contacts()
         self._wait_for_answers()
 

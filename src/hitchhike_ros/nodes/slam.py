@@ -91,6 +91,9 @@ _SILENCE_S = 0.3
 _WATCH_PERIOD_S = 0.1
 # The map is large and boxes grow with every scan: it is not published more often (chosen).
 _MAP_PERIOD_S = 1.0
+# Of a robot that stands and has nowhere to go, a scan is worked on so often (chosen): nobody waits for its pose, and the
+# odometry says that it has not changed. It stands when it is slower than this, in m/s and rad/s.
+_REST_PERIOD_S, _STANDS = 0.5, 1e-3
 
 
 class Slam:
@@ -120,6 +123,8 @@ class Slam:
         self._localizer: Localizer | None = None
         self._odometry_problem = ""
         self._scanned_at = 0.0
+        self._worked_at = -math.inf  # stamp of the newest scan that was worked on
+        self._moves = self._has_goal = True
         self._timer: rospy.Timer | None = None
 
         self._poses = rospy.Publisher("amcl_pose", PoseWithCovarianceStamped, queue_size=1, tcp_nodelay=True)
@@ -154,6 +159,7 @@ class Slam:
     def _on_status(self, status: Status) -> None:
         with self._lock:
             self._others = [(Pose2D(robot.x, robot.y), robot.radius_m) for robot in status.robots]
+            self._has_goal = status.goal is not None
             self._turn(status.modules)
 
     def _turn(self, modules: ModuleSwitches) -> None:
@@ -165,7 +171,8 @@ class Slam:
                 # Odometry from before the pause says nothing about the way since: the filter starts anew.
                 self._localizer = self._made
                 self._localizer.restart()
-                self._odometry_problem, self._scanned_at = "", rospy.get_time()
+                self._odometry_problem, self._scanned_at, self._worked_at = "", rospy.get_time(), -math.inf
+                self._moves = True
                 self._start()
                 self._timer = rospy.Timer(rospy.Duration(_WATCH_PERIOD_S), self._watch, reset=True)
                 return
@@ -222,7 +229,9 @@ class Slam:
             if self._localizer is None:
                 return
             try:
-                self._localizer.predict(odometry_from_msg(msg))
+                odometry = odometry_from_msg(msg)
+                self._localizer.predict(odometry)
+                self._moves = max(abs(odometry.twist.v), abs(odometry.twist.omega)) > _STANDS
                 self._odometry_problem = ""
             except SensorDataError as exc:
                 self._odometry_problem = str(exc)
@@ -241,17 +250,29 @@ class Slam:
     def _on_scan(self, msg: LaserScanMsg) -> None:
         with self._lock:
             self._scanned_at = rospy.get_time()
-            try:
-                scan = scan_from_msg(msg)
-                estimate = self._localize(scan)
-            except SensorDataError as exc:
-                self._diagnostics.count("bad_scans")
-                self._diagnostics.set(ERROR, str(exc))
-            else:
-                if estimate is not None:
-                    self._publish_pose(estimate)
-                    self._map(scan, estimate)
-        self._answer(msg.header.stamp.to_sec())
+            stamp = msg.header.stamp.to_sec()
+            if not self._rests(stamp):
+                self._worked_at = stamp
+                self._work(msg)
+        self._answer(stamp)
+
+    def _rests(self, stamp: float) -> bool:
+        """Whether a scan may be left alone."""
+        if self._moves or self._has_goal or self._odometry_problem:
+            return False
+        return 0.0 <= stamp - self._worked_at < _REST_PERIOD_S - 1e-3
+
+    def _work(self, msg: LaserScanMsg) -> None:
+        try:
+            scan = scan_from_msg(msg)
+            estimate = self._localize(scan)
+        except SensorDataError as exc:
+            self._diagnostics.count("bad_scans")
+            self._diagnostics.set(ERROR, str(exc))
+        else:
+            if estimate is not None:
+                self._publish_pose(estimate)
+                self._map(scan, estimate)
 
     # Localizing and mapping.
 

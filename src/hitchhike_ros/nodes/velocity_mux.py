@@ -7,7 +7,7 @@ Subscribed:
     cmd_vel/teleop, cmd_vel/servoing, cmd_vel/navigation (geometry_msgs/Twist): in this order of priority
     hhike_msg/status (std_msgs/String): whether the robot has a goal or a ride
 Published:
-    cmd_vel (geometry_msgs/Twist): at ``~rate`` of ROS time and at once on a command
+    cmd_vel (geometry_msgs/Twist): at once on a command, and every 1 / ``~rate`` of ROS time in which none came
     /diagnostics (diagnostic_msgs/DiagnosticArray): the source that drives, commands refused
 Parameters:
     ~config (path), sections ``velocity_mux`` (control.velocity_mux.VelocityMuxParameters) and ``robot``
@@ -41,6 +41,7 @@ class VelocityMuxNode:
         )
         rate = convert(rospy.get_param("~rate", 20.0), Positive, rospy.get_name(), "~rate")
         self._lock = threading.Lock()
+        self._commanded = False  # since the timer's last turn
         self._senseless: set[Source] = set()  # sources whose newest command was refused
         self._diagnostics = Diagnostics("velocity_mux")
         self._output = rospy.Publisher("cmd_vel", Twist, queue_size=1, tcp_nodelay=True)
@@ -50,10 +51,11 @@ class VelocityMuxNode:
         ]
         self._listener = StatusListener(self._on_status, self._diagnostics)
         # reset: the timer goes on after time has jumped back.
-        self._timer = rospy.Timer(rospy.Duration(1.0 / rate), lambda _event: self._step(), reset=True)
+        self._timer = rospy.Timer(rospy.Duration(1.0 / rate), self._on_timer, reset=True)
 
     def _on_command(self, msg: Twist, source: Source) -> None:
         with self._lock:
+            self._commanded = True
             if self._mux.command(source, twist_from_msg(msg), rospy.get_time()):
                 self._senseless.discard(source)
             else:
@@ -64,6 +66,12 @@ class VelocityMuxNode:
     def _on_status(self, status: Status) -> None:
         with self._lock:
             self._mux.hands = status.hands
+
+    def _on_timer(self, _event: rospy.timer.TimerEvent) -> None:
+        with self._lock:
+            idle, self._commanded = not self._commanded, False
+        if idle:
+            self._step()
 
     def _step(self) -> None:
         with self._lock:

@@ -95,14 +95,15 @@ class Traveller:
         return self._hear(event, now)
 
     def status(self, now: float, others: bool = True) -> Status:
-        """What the modules have to do now; ``others`` says whether they want to know where other robots are."""
+        """What the modules have to do now; ``others``: those that are on are told where other robots are."""
         machine = self.hitchhiker if self.rides else self.driver
         role = "hitchhiker" if self.rides else ("driver" if self.driver.offer is not None else "none")
         if self.hitchhiker.offer is not None:
             self._driver = self.hitchhiker.offer.robot_id
         # A driver without a rider stands there and waits, so it is remembered for as long.
         p, servo = self.params, machine.servo
-        robots = self.neighbours.robots(now, p.robot_timeout_s, self._driver, p.lost_timeout_s) if others else ()
+        asked = others and (machine.modules.OBS or machine.modules.MAP)
+        robots = self.neighbours.robots(now, p.robot_timeout_s, self._driver, p.lost_timeout_s) if asked else ()
         return Status(
             time_stamp=now,
             robot_id=self.robot_id,

@@ -7,7 +7,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 import rospy
-from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, Twist, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    Twist,
+    Vector3,
+)
 from nav_msgs.msg import MapMetaData, Path
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
@@ -48,6 +57,11 @@ def quaternion_from_rotation(R: FloatArray) -> Quaternion:
     from scipy.spatial.transform import Rotation  # noqa: PLC0415  (slow to import, and few nodes need it)
 
     return Quaternion(*Rotation.from_matrix(R).as_quat())
+
+
+def transform_from_matrix(T: FloatArray) -> Transform:
+    """A homogeneous matrix (4, 4) as a message."""
+    return Transform(Vector3(*T[:3, 3].tolist()), quaternion_from_rotation(T[:3, :3]))
 
 
 def pose_from_msg(msg: Pose) -> Pose2D:

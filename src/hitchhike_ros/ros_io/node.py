@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -39,7 +40,10 @@ def run(name: str, build: Callable[[], object]) -> None:
 
 
 class Diagnostics:
-    """``/diagnostics`` at 1 Hz of the node's clock: the level and message last set, and counters."""
+    """``/diagnostics`` at 1 Hz: the level and message last set, and counters.
+
+    The second is that of who watches, not of a simulated clock: a timer of rospy would wake at every tick of that.
+    """
 
     def __init__(self, name: str) -> None:
         self._status = DiagnosticStatus(
@@ -48,7 +52,7 @@ class Diagnostics:
         self._level, self._message = OK, "starting"
         self._values: dict[str, object] = {}
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
-        self._timer = rospy.Timer(rospy.Duration(1.0), self._publish, reset=True)
+        threading.Thread(target=self._repeat, name="diagnostics", daemon=True).start()
 
     def set(self, level: int, message: str, **values: object) -> None:
         """What is published from now on; a change of level is published at once."""
@@ -64,7 +68,12 @@ class Diagnostics:
         self._values[what] = total
         return total
 
-    def _publish(self, _event: object = None) -> None:
+    def _repeat(self) -> None:
+        while not rospy.is_shutdown():
+            self._publish()
+            rospy.rostime.wallsleep(1.0)
+
+    def _publish(self) -> None:
         self._status.level, self._status.message = self._level, self._message
         self._status.values = [KeyValue(k, str(v)) for k, v in list(self._values.items())]
         self._publisher.publish(DiagnosticArray(Header(stamp=rospy.Time.now()), [self._status]))

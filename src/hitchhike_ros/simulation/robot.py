@@ -134,6 +134,12 @@ class SimulatedRobot:
         left, right = p.getJointStates(self.body, self._wheels, physicsClientId=self._client)
         return left[0], right[0]
 
+    def wheel_mounts(self) -> dict[str, FloatArray]:
+        """T_base_link_wheel (4, 4) of both wheels, by the names of their links."""
+        T_link_world = np.linalg.inv(self.T_world("base_link"))
+        states = p.getLinkStates(self.body, self._wheels, computeForwardKinematics=True, physicsClientId=self._client)
+        return {name: T_link_world @ _matrix(s[4], s[5]) for name, s in zip(_WHEELS, states, strict=True)}
+
     def scan(self) -> LaserScan:
         """The laser's view now, in frame ``laser``."""
         engine = self._engine
