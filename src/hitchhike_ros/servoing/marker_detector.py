@@ -148,6 +148,7 @@ class MarkerDetector:
             )
             for decimate in ((p.quad_decimate, 1.0) if self._qr is None else ())
         )
+        self.has_sides = p.family in _CELLS
         self.cells = _CELLS.get(p.family, _PLACES)
         self._lens: Lens | None = None
         self._previous: dict[int, tuple[float, float]] = {}
@@ -204,7 +205,7 @@ class MarkerDetector:
 
         Families without straight sides keep the corners as expected. None where a side is not to be seen.
         """
-        if self.params.family not in _CELLS:
+        if not self.has_sides:
             return self._as_found(code, lens, corners, size_m)
         cell_px = _narrowest(corners) / self.cells
         measure_px = min(max(_MEASURE_CELLS * cell_px, _MEASURE_PX[0]), _MEASURE_PX[1])
