@@ -34,7 +34,7 @@ constexpr int grid = 61, middle = grid / 2;
 constexpr double grid_end = 1.5;
 // Each yaw starts from the optima of those beside it, so that it takes one step, seldom two, until chi2 has settled.
 constexpr int max_steps = 4;
-constexpr double settled = 1e-6;
+constexpr double settled = 1e-3;
 // Of 4 degrees of freedom; 1 upright marker in 20 000 has more (chosen).
 constexpr double chi2_max = 25.0;
 // Two optima are two poses if what lies between them is this much less likely, -2 log (chosen).
@@ -76,7 +76,7 @@ struct View {
 
   Vector<8> misfit(const Pose &T) const {
     const Corners apart = project_corners(T, size) - points;
-    return whitening * Eigen::Map<const Vector<8>>(apart.data());
+    return whitening.lazyProduct(Eigen::Map<const Vector<8>>(apart.data()));
   }
 };
 
@@ -142,12 +142,12 @@ Slice best_at_yaw(const View &view, const Mounting &mounting, double upright_sig
     const Matrix<8, 6> J = corner_jacobian(T, view.size);
     Matrix<8, 5> A;
     A << J.leftCols<3>(), J.rightCols<3>() * turns.leftCols<2>();
-    A = (view.whitening * A).eval();
+    A = view.whitening.lazyProduct(A).eval();
     const Vector<8> e = view.misfit(T);
     const Eigen::Vector2d lean = q.segment<2>(3) / upright_sigma;
-    Matrix<5, 5> information = A.transpose() * A;
+    Matrix<5, 5> information = A.transpose().lazyProduct(A);
     information.diagonal().tail<2>().array() += 1 / (upright_sigma * upright_sigma);
-    Vector<5> gradient = A.transpose() * e;
+    Vector<5> gradient = A.transpose().lazyProduct(e);
     gradient.tail<2>() += lean / upright_sigma;
     const Eigen::LLT<Matrix<5, 5>> factors(information);
     const Vector<5> d = factors.solve(gradient);
