@@ -17,7 +17,12 @@ namespace py = pybind11;
 namespace {
 
 using Point = std::array<double, 2>;
-using Image = py::detail::unchecked_reference<unsigned char, 2>;
+
+// Rows of grey levels, one after the other.
+struct Image {
+  const unsigned char *pixels;
+  py::ssize_t width, height;
+};
 
 // Of a side, left out at each end, where the neighbouring side bends the edge.
 constexpr double margin = 0.1;
@@ -35,14 +40,15 @@ constexpr double sharp = 0.18, soft = 0.30, pixel_variance = 0.18;
 constexpr double clipped_grey = 254.5, clipped_variance = 0.05 * 0.05;
 
 bool inside(const Image &image, double u, double v) {
-  return u >= 0 && v >= 0 && u < static_cast<double>(image.shape(1) - 1) && v < static_cast<double>(image.shape(0) - 1);
+  return u >= 0 && v >= 0 && u < static_cast<double>(image.width - 1) && v < static_cast<double>(image.height - 1);
 }
 
 double at(const Image &image, double u, double v) {
-  const auto c = static_cast<py::ssize_t>(u), r = static_cast<py::ssize_t>(v);
-  const double fu = u - static_cast<double>(c), fv = v - static_cast<double>(r);
-  return (1 - fv) * ((1 - fu) * image(r, c) + fu * image(r, c + 1)) +
-         fv * ((1 - fu) * image(r + 1, c) + fu * image(r + 1, c + 1));
+  const int c = static_cast<int>(u), r = static_cast<int>(v);
+  const double fu = u - c, fv = v - r;
+  const unsigned char *const above = image.pixels + r * image.width + c, *const below = above + image.width;
+  const double upper = above[0] + fu * (above[1] - above[0]), lower = below[0] + fu * (below[1] - below[0]);
+  return upper + fv * (lower - upper);
 }
 
 // A side: from its origin along a direction, and its offset a + b s to the outside at s px, with their covariance.
@@ -76,10 +82,9 @@ bool fit(const Image &image, Side &side, double reach, bool seeking) {
     const double along = margin * side.length + span * (k + 0.5) / n, middle = side.a + side.b * along;
     const Point first = side.at(along, middle - (half + 1) * step), last = side.at(along, middle + (half + 1) * step);
     if (!inside(image, first[0], first[1]) || !inside(image, last[0], last[1])) continue;
-    for (int i = 0; i < 2 * half + 3; ++i) {
-      const Point p = side.at(along, middle + (i - half - 1) * step);
-      profile[static_cast<std::size_t>(i)] = at(image, p[0], p[1]);
-    }
+    const double du = step * side.outside()[0], dv = step * side.outside()[1];
+    for (int i = 0; i < 2 * half + 3; ++i)
+      profile[static_cast<std::size_t>(i)] = at(image, first[0] + i * du, first[1] + i * dv);
     double sum = 0, moment = 0, second = 0;
     for (int i = 0; i <= 2 * half; ++i) {
       // White lies outside.
@@ -149,7 +154,7 @@ std::optional<std::pair<py::array_t<double>, py::array_t<double>>> fit_square(
       start[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)] = corners.at(i, j);
       if (!std::isfinite(corners.at(i, j))) throw InvalidInput("corners hold a number that is not finite");
     }
-  const Image pixels = py::array_t<unsigned char>::ensure(image).unchecked<2>();
+  const Image pixels{static_cast<const unsigned char *>(image.data()), image.shape(1), image.shape(0)};
   std::vector<Side> sides;
   {
     py::gil_scoped_release unlocked;

@@ -42,3 +42,5 @@ inline vpImage<unsigned char> view_of(const pybind11::array &image) {
 void bind_model_tracker(pybind11::module_ &m);
 // The part of the module in edge_fit.cpp.
 void bind_edge_fit(pybind11::module_ &m);
+// The part of the module in square_pose.cpp.
+void bind_square_pose(pybind11::module_ &m);

@@ -200,4 +200,5 @@ PYBIND11_MODULE(_visp_tracker, m) {
   m.def("check_image", &check_image, py::arg("image"), "Raises unless the image is one that the others can read in place.");
   bind_edge_fit(m);
   bind_model_tracker(m);
+  bind_square_pose(m);
 }

@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
+from hitchhike_ros.datatypes import FloatArray
 from hitchhike_ros.errors import VisionError
 
 class InvalidInputError(VisionError): ...
@@ -13,6 +14,20 @@ def square_poses(corners: npt.NDArray[np.float64], size: float) -> list[tuple[np
 def fit_square(
     image: npt.NDArray[np.uint8], corners: npt.NDArray[np.float64], reach: float, final_reach: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None: ...
+def project_corners(T_camera_marker: FloatArray, size: float) -> FloatArray: ...
+def corner_jacobian(T_camera_marker: FloatArray, size: float) -> FloatArray: ...
+def least_squares(
+    points: FloatArray, whitening: FloatArray, size: float, start: FloatArray
+) -> tuple[FloatArray, FloatArray, float] | None: ...
+def square_on_poses(
+    points: FloatArray,
+    whitening: FloatArray,
+    size: float,
+    start: FloatArray,
+    T_base_camera: FloatArray,
+    upright_sigma: float,
+    flat: float,
+) -> list[tuple[FloatArray, FloatArray, float]]: ...
 
 class TagDetector:
     def __init__(

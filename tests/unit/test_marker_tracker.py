@@ -106,10 +106,10 @@ def test_now_and_then_it_looks_around():
     tracker = MarkerTracker()
     image = picture(marker_pose(1.0, 0.3))
     how = []
-    for i in range(16):
+    for i in range(26):
         see(tracker, image, 0.1 * i)
         how.append(tracker.tracking)
-    assert how == [False] + 10 * [True] + [False] + 4 * [True]
+    assert how == [False] + 20 * [True] + [False] + 4 * [True]
 
 
 def test_other_sizes_and_targets_are_detected_anew():

@@ -148,6 +148,7 @@ class MarkerDetector:
             )
             for decimate in ((p.quad_decimate, 1.0) if self._qr is None else ())
         )
+        self.has_sides = p.family in _CELLS
         self.cells = _CELLS.get(p.family, _PLACES)
         self._lens: Lens | None = None
         self._previous: dict[int, tuple[float, float]] = {}
@@ -204,7 +205,7 @@ class MarkerDetector:
 
         Families without straight sides keep the corners as expected. None where a side is not to be seen.
         """
-        if self.params.family not in _CELLS:
+        if not self.has_sides:
             return self._as_found(code, lens, corners, size_m)
         cell_px = _narrowest(corners) / self.cells
         measure_px = min(max(_MEASURE_CELLS * cell_px, _MEASURE_PX[0]), _MEASURE_PX[1])
@@ -237,10 +238,10 @@ class MarkerDetector:
         self, code: Code, lens: Lens, corners: FloatArray, covariance: FloatArray, size_m: float
     ) -> MarkerDetection | None:
         """From corners (4, 2) in the straight picture, px, and their covariance (8, 8)."""
-        focal = np.array([lens.K[0, 0], lens.K[1, 1]])
-        scale = np.tile(1.0 / focal, 4)
+        focal = lens.K.diagonal()[:2]
         points = (corners - lens.K[:2, 2]) / focal
-        view = SquareView.with_covariance(points, covariance * np.outer(scale, scale), size_m, self.params.size_sigma)
+        scale = np.concatenate([focal, focal, focal, focal])
+        view = SquareView.with_covariance(points, covariance / (scale[:, None] * scale), size_m, self.params.size_sigma)
         solutions = solve(view)
         if not solutions:
             return None
@@ -348,10 +349,11 @@ def nearest(detections: Iterable[MarkerDetection]) -> MarkerDetection | None:
 
 def _narrowest(corners: FloatArray) -> float:
     """The shorter of a quadrilateral's two heights between opposite sides (middles), px."""
-    middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
-    area = abs(float(np.cross(corners[2] - corners[0], corners[3] - corners[1]))) / 2.0
-    lengths = np.linalg.norm(middles[:2] - middles[2:], axis=1)
-    return area / max(float(lengths.max()), 1.0)
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners.tolist()
+    area = abs((cx - ax) * (dy - by) - (cy - ay) * (dx - bx)) / 2.0
+    # Lines between the middles of opposite sides.
+    lengths = (math.hypot(ax + bx - cx - dx, ay + by - cy - dy), math.hypot(bx + cx - dx - ax, by + cy - dy - ay))
+    return area / max(*(0.5 * length for length in lengths), 1.0)
 
 
 def _weighted(detection: MarkerDetection, costs: list[float]) -> MarkerDetection:

@@ -1,17 +1,24 @@
 """One marker carried from image to image, which finds it where it is blurred, cut or too far to be read.
 
-A detection starts it. Then ViSP's model-based tracker (moving edges on the sides, KLT points on what is printed
-between them) says where the square has gone, and lines fitted to its sides measure it there, as in a detection: what
-the model-based tracker itself gives is two to eight times less exact (``bench tracking``), for its edges are sought at
-whole pixels and its points drift. Detection is called again when the marker is lost, when the picture does not fit the
-model or the pattern that was detected, and once in a while to see what else is there.
+A detection starts it. From then on lines are fitted to the marker's sides where they are expected, as in a detection:
+where the image's motion from the last but one to the last image leads to, or else where they were. What is printed
+between them has to be what was detected: that tells the marker from another one, and its sides from other edges.
+
+Where no sides are found so, the marker has leapt farther than lines are sought (some px). Then ViSP's model-based
+tracker (moving edges on the sides, KLT points on what is printed between them), started on the image before, says
+where the square has gone, and the lines are fitted there. What it gives by itself is two to eight times less exact
+(``bench tracking``), for its edges are sought at whole pixels and its points drift; and it takes several times as long
+as the lines, so it is not called where they suffice.
+
+Detection is called again when the marker is lost, when the picture does not fit the model or the pattern that was
+detected, and once in a while to see what else is there.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import cv2
@@ -33,14 +40,20 @@ from hitchhike_ros.servoing.square_pose import project_corners
 
 # ViSP's own, for who compares.
 ModelTracker = _visp_tracker.ModelTracker
+# How much farther than the marker pictures are straightened, as a share of its size: for lines, which are sought within
+# some px, and for the model-based tracker.
+_LINES_BORDER, _MODEL_BORDER = 0.1, 1.0
+# Lines that are not where a step of less than this, px, leads to are not where they were either (chosen).
+_STEP_PX = 1.0
 
 
 @dataclass(frozen=True)
 class MarkerTrackerParameters:
     """Section ``marker_tracker``; all values are chosen."""
 
-    detect_period_s: Positive = 1.0
-    """After so long all markers are looked for, wherever the one is."""
+    detect_period_s: Positive = 2.0
+    """After so long all markers are looked for, wherever the one is. What else a robot that follows comes past is in
+    sight for longer."""
     thorough_every: Annotated[int, msgspec.Meta(ge=1)] = 5
     """Of the images in which the marker is missed, every so-manieth is searched for small and slanted markers too."""
     max_projection_error_deg: Positive = 25.0
@@ -53,9 +66,19 @@ class MarkerTrackerParameters:
 
 @dataclass(frozen=True, eq=False)
 class _Carried:
-    """What is being carried: the last detection, when the marker was detected, and its pattern then."""
+    """What is being carried: the marker in the newest image, and its pattern when it was detected.
+
+    ``corners`` (4, 2) px and their ``motion`` (4, 2) px/s are those of the straight picture. ``modelled`` says that the
+    model-based tracker has come to this image.
+    """
 
     seen: MarkerDetection
+    image: GrayImage
+    lens: Lens
+    stamp: float
+    corners: FloatArray
+    motion: FloatArray
+    modelled: bool
     detected_at: float
     pattern: FloatArray
 
@@ -74,10 +97,7 @@ class MarkerTracker:
         self.detector = MarkerDetector(detector)
         self._model = ModelTracker()
         self._carried: _Carried | None = None
-        self._lens: Lens | None = None
         self._missed = 0
-        self._drift_px = 0.0
-        self._image: GrayImage | None = None
         self.why_detected = ""
 
     @property
@@ -102,7 +122,7 @@ class MarkerTracker:
         """The markers in one image, each with its likeliest pose first.
 
         Args:
-            gray: (H, W) uint8, C-contiguous.
+            gray: (H, W) uint8, C-contiguous; kept until the next one has been seen, so it must not change.
             camera_info: calibration of that image.
             T_base_camera: (4, 4), for :meth:`MarkerDetector.resolve`.
             stamp: time of the image in s.
@@ -113,32 +133,79 @@ class MarkerTracker:
         Raises:
             VisionError: image, calibration or size cannot be used.
         """
-        carried = self._carry(gray, camera_info, stamp, target, sizes_m or {})
-        if carried is not None:
-            [seen] = self.detector.resolve([carried], T_base_camera, stamp)
-            self._go_on(seen)
-            return [seen]
+        self.why_detected = self._idle_because(gray, camera_info, stamp, target, sizes_m or {})
+        if self._carried is not None and not self.why_detected:
+            carried = self._carry(self._carried, gray, stamp)
+            if carried is not None:
+                detection, modelled = carried
+                [seen] = self.detector.resolve([detection], T_base_camera, stamp)
+                self._carried = self._gone_on(self._carried, seen, gray, stamp, modelled=modelled)
+                return [seen]
         thorough = self._missed % self.params.thorough_every == self.params.thorough_every - 1
         detected = self.detector.detect(gray, camera_info, sizes_m, thorough=thorough)
         found = self.detector.resolve(detected, T_base_camera, stamp)
         wanted = nearest(d for d in found if target in (None, d.id))
         self._missed = 0 if wanted is not None else self._missed + 1
-        self._carried = None
-        if wanted is not None:
-            self._lens = self.detector.lens(camera_info)
-            self._start(gray, wanted, stamp)
+        self._carried = None if wanted is None else self._started(wanted, gray, camera_info, stamp)
         return found
 
-    def _carry(
-        self, gray: GrayImage, info: CameraInfo, stamp: float, target: int | None, sizes_m: Mapping[int, float]
-    ) -> MarkerDetection | None:
-        """The marker where it has gone; None when it has to be detected, and ``why_detected`` says why."""
-        self.why_detected = self._idle_because(gray, info, stamp, target, sizes_m)
-        if self.why_detected or self._carried is None or self._lens is None:
+    def _carry(self, carried: _Carried, gray: GrayImage, stamp: float) -> tuple[MarkerDetection, bool] | None:
+        """The marker where it has gone, and whether the model-based tracker has come there.
+
+        None when it has to be detected, and ``why_detected`` says why.
+        """
+        for expected in self._expected(carried, stamp):
+            detection = self._measured(carried, gray, expected, _LINES_BORDER)
+            if detection is not None:
+                return detection, False
+        tracked = self._tracked(carried, gray)
+        if tracked is None:
             return None
-        seen, lens = self._carried.seen, self._lens
-        image = lens.straight(gray, _pixels(seen.view.points, lens.K), border=1.0)
-        tracked = self._model.track(image)
+        detection = self._measured(carried, gray, tracked, _MODEL_BORDER)
+        if detection is None:
+            return None
+        drift = np.abs(_corners(detection, carried.lens) - tracked).max()
+        return detection, bool(drift <= self.params.max_drift_px)
+
+    def _expected(self, carried: _Carried, stamp: float) -> Iterator[FloatArray]:
+        """Corners (4, 2) px near which the lines of the sides may be sought."""
+        if self.detector.has_sides:
+            step = carried.motion * (stamp - carried.stamp)
+            yield carried.corners + step
+            if np.abs(step).max() > _STEP_PX:
+                yield carried.corners
+
+    def _measured(
+        self, carried: _Carried, gray: GrayImage, expected: FloatArray, border: float
+    ) -> MarkerDetection | None:
+        """The marker near corners (4, 2) px, if its pattern is there."""
+        image = carried.lens.straight(gray, expected, border)
+        seen = carried.seen
+        detection = self.detector.measure(seen.code, image, carried.lens, expected, seen.view.size_m)
+        if detection is None:
+            self.why_detected = "its sides are not to be seen"
+            return None
+        pattern = _pattern(image, _corners(detection, carried.lens), self.detector.cells)
+        likeness = _correlation(pattern, carried.pattern)
+        if not likeness >= self.params.min_likeness:
+            self.why_detected = f"pattern has a likeness of {likeness:.2f}"
+            return None
+        self.why_detected = ""
+        return detection
+
+    def _tracked(self, carried: _Carried, gray: GrayImage) -> FloatArray | None:
+        """Corners (4, 2) px where the model-based tracker has followed the marker to, from the image before."""
+        seen, lens = carried.seen, carried.lens
+        if not carried.modelled:
+            image = lens.straight(carried.image, carried.corners, _MODEL_BORDER)
+            intrinsics = (lens.K[0, 0], lens.K[1, 1], lens.K[0, 2], lens.K[1, 2])
+            T_camera_tag = seen.T_camera_marker @ np.linalg.inv(T_TAG_MARKER)
+            try:
+                self._model.start(image, intrinsics, T_camera_tag, seen.view.size_m)
+            except VisionError:  # too few edges or points to track: it stays with detection
+                self.why_detected = "too little for the model-based tracker"
+                return None
+        tracked = self._model.track(lens.straight(gray, carried.corners, _MODEL_BORDER))
         if tracked is None:
             self.why_detected = "lost by the model-based tracker"
             return None
@@ -146,24 +213,12 @@ class MarkerTracker:
         if not error_deg <= self.params.max_projection_error_deg:
             self.why_detected = f"projection error {error_deg:.0f} deg"
             return None
-        expected = _pixels(project_corners(T_camera_tag @ T_TAG_MARKER, seen.view.size_m), lens.K)
-        detection = self.detector.measure(seen.code, image, lens, expected, seen.view.size_m)
-        if detection is None:
-            self.why_detected = "its sides are not to be seen"
-            return None
-        corners = _pixels(detection.view.points, lens.K)
-        likeness = _correlation(_pattern(image, corners, self.detector.cells), self._carried.pattern)
-        if not likeness >= self.params.min_likeness:
-            self.why_detected = f"pattern has a likeness of {likeness:.2f}"
-            return None
-        self._drift_px = float(np.abs(corners - expected).max())
-        self._image = image
-        return detection
+        return _pixels(project_corners(T_camera_tag @ T_TAG_MARKER, seen.view.size_m), lens.K)
 
     def _idle_because(
         self, gray: GrayImage, info: CameraInfo, stamp: float, target: int | None, sizes_m: Mapping[int, float]
     ) -> str:
-        if self._carried is None or self._lens is None:
+        if self._carried is None:
             return "nothing carried"
         seen = self._carried.seen
         if (
@@ -171,39 +226,39 @@ class MarkerTracker:
             or sizes_m.get(seen.id, self.detector.params.marker_size_m) != seen.view.size_m
         ):
             return "another marker is wanted"
-        if not self._lens.is_of(info) or gray.shape != (info.height, info.width):
+        if not self._carried.lens.is_of(info) or gray.shape != (info.height, info.width):
             return "another calibration"
         if not 0.0 <= stamp - self._carried.detected_at <= self.params.detect_period_s:
             return "time to look around"
         return ""
 
-    def _start(self, gray: GrayImage, seen: MarkerDetection, stamp: float) -> None:
-        lens = self._lens
-        assert lens is not None
-        corners = _pixels(seen.view.points, lens.K)
-        image = lens.straight(gray, corners, border=1.0)
-        if self._begin(image, seen, lens):
-            self._carried = _Carried(seen, stamp, _pattern(image, corners, self.detector.cells))
+    def _started(self, seen: MarkerDetection, gray: GrayImage, info: CameraInfo, stamp: float) -> _Carried:
+        """From a detection."""
+        lens = self.detector.lens(info)
+        corners = _corners(seen, lens)
+        pattern = _pattern(lens.straight(gray, corners, _LINES_BORDER), corners, self.detector.cells)
+        before, motion = self._carried, np.zeros((4, 2))
+        if before is not None and before.lens is lens and before.seen.id == seen.id:
+            motion = _motion(before, corners, stamp)
+        return _Carried(seen, gray, lens, stamp, corners, motion, False, stamp, pattern)
 
-    def _go_on(self, seen: MarkerDetection) -> None:
-        """Carry on from the measured pose where the model-based tracker has drifted away."""
-        assert self._carried is not None and self._lens is not None and self._image is not None
-        self._carried = _Carried(seen, self._carried.detected_at, self._carried.pattern)
-        if self._drift_px > self.params.max_drift_px and not self._begin(self._image, seen, self._lens):
-            self._carried = None
+    def _gone_on(
+        self, before: _Carried, seen: MarkerDetection, gray: GrayImage, stamp: float, *, modelled: bool
+    ) -> _Carried:
+        corners = _corners(seen, before.lens)
+        motion = _motion(before, corners, stamp)
+        return replace(before, seen=seen, image=gray, stamp=stamp, corners=corners, motion=motion, modelled=modelled)
 
-    def _begin(self, image: GrayImage, seen: MarkerDetection, lens: Lens) -> bool:
-        K = lens.K
-        try:
-            self._model.start(
-                image,
-                (K[0, 0], K[1, 1], K[0, 2], K[1, 2]),
-                seen.T_camera_marker @ np.linalg.inv(T_TAG_MARKER),
-                seen.view.size_m,
-            )
-        except VisionError:  # too few edges or points to track: it stays with detection
-            return False
-        return True
+
+def _motion(before: _Carried, corners: FloatArray, stamp: float) -> FloatArray:
+    """Of the corners (4, 2) since the image before, px/s."""
+    elapsed = stamp - before.stamp
+    return (corners - before.corners) / elapsed if elapsed > 0.0 else np.zeros((4, 2))
+
+
+def _corners(detection: MarkerDetection, lens: Lens) -> FloatArray:
+    """In the straight picture, (4, 2) px."""
+    return _pixels(detection.view.points, lens.K)
 
 
 def _pixels(points: FloatArray, K: FloatArray) -> FloatArray:
