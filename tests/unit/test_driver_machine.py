@@ -442,7 +442,9 @@ def test_the_modules_of_each_state(state: DriverState) -> None:
     assert (machine.servo is not None) == (state is S.ALIGNING)
     assert (machine.goal is not None) == (state in (S.NAVIGATING, S.ALIGNING, S.DRIVING))
     assert (machine.ride is not None) == (state in ENGAGED)
-    assert machine.speed_limit_mps == (0.5 if state in WITH_RIDER else 0.6)
+    params = machine.params
+    limit = params.ride_speed_mps if state in WITH_RIDER else params.cruise_speed_mps
+    assert machine.speed_limit_mps == limit
 
 
 @pytest.mark.parametrize("state", S)

@@ -101,7 +101,7 @@ def test_a_ride_with_its_handover() -> None:
     assert award.ride_m == pytest.approx(rider.ridden_m, abs=0.6)
     assert rider.trips[0].ridden_m > 50.0
     assert set(rider.known) == {"box"}  # which it heard of from its driver
-    assert rider.state_s["riding"] > 90.0
+    assert rider.state_s["riding"] > rider.ridden_m / rider.params.ride_speed_mps
     assert distance(w.pose("rider"), GOAL) < 0.1
 
 

@@ -134,7 +134,7 @@ def test_a_driver_hurries_to_a_hitchhiker_that_waits_and_never_with_one(factor: 
     way_m = 55.0 - 30.0 + 2.0 - 0.5 * 3.25  # and what it has driven when it is asked
     assert _waited(rider) == pytest.approx(way_m / (0.5 * factor), rel=0.1)
     assert max(speeds["aligning"]) == pytest.approx(0.5 * factor)
-    assert speeds["driving"] == speeds["decoupling"] == {0.5}
+    assert speeds["driving"] == speeds["decoupling"] == {driver.params.ride_speed_mps}
     assert speeds["navigating"] == {0.5}
 
 
@@ -221,7 +221,7 @@ def test_two_drivers_each_longer_than_t_dhh_and_the_second_waits() -> None:
     """P18 §6: it is booked while the first ride is on."""
     fleet = Fleet()
     first = fleet.driver("first", Pose2D(10.0, 45.0, SOUTH), Pose2D(60.0, 30.0, EAST))
-    second = fleet.driver("second", Pose2D(45.0, 3.0, NORTH), Pose2D(45.0, 65.0, NORTH), cruise_speed_mps=0.4)
+    second = fleet.driver("second", Pose2D(45.0, 8.0, NORTH), Pose2D(45.0, 65.0, NORTH), cruise_speed_mps=0.4)
     rider = fleet.add("rider", WEST_POINT, Pose2D(44.5, 64.0, NORTH))
     fleet.run()
     rides = [driver.awards[0].ride_m for driver in (first, second)]

@@ -93,7 +93,7 @@ class ObstacleAvoidanceParameters:
     contact_weight: NonNegative = 1.0
     smoothness_weight: NonNegative = 0.3
     # With a hitchhiker behind: a camera of 60° must keep the marker 0.8 m ahead of it in view.
-    rider_speed_mps: Positive = 0.5
+    rider_speed_mps: Positive = 0.6
     rider_yaw_rate_rps: Positive = 0.5
     rider_acceleration_mps2: Positive = 0.3
     rider_yaw_acceleration_rps2: Positive = 0.8

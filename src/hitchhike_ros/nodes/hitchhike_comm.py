@@ -117,6 +117,7 @@ class HitchhikeComm:
         self._navigation = self._planning = NavigationReport("", "idle")
         self._odometry = OdometryHistory()
         self._estimate: PoseEstimate | None = None
+        self._fed_back: PoseEstimate | None = None
         self._observations = Observations()
         self._published: Status | None = None
         self._logged: dict[str, float] = {}
@@ -234,7 +235,8 @@ class HitchhikeComm:
         self._awards.step()
         self._publish_status(self._traveller.status(now))
         if self._move_base.active:
-            if estimate is not None:
+            if estimate is not None and estimate is not self._fed_back:
+                self._fed_back = estimate
                 self._move_base.feed_back(estimate.pose, estimate.stamp)
             if (outcome := self._traveller.outcome) is not None:
                 self._move_base.finish(*outcome)

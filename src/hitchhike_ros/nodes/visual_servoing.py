@@ -385,16 +385,20 @@ class VisualServoing:
         self._states.publish(Int8(NO_IMAGE if unusable else SEEN if target is not None else SEEKING))
         if target is not None:
             self._codes.publish(String(target.code.message))
-            msg = PoseWithCovarianceStamped(header=image.header)
-            msg.header.frame_id = image.header.frame_id or self._camera_frame
-            T = target.T_camera_marker
-            msg.pose.pose.position.x, msg.pose.pose.position.y, msg.pose.pose.position.z = T[:3, 3].tolist()
-            msg.pose.pose.orientation = quaternion_from_rotation(T[:3, :3])
-            msg.pose.covariance = target.covariance.ravel().tolist()
-            self._poses.publish(PoseStamped(msg.header, msg.pose.pose))
-            self._poses_covariance.publish(msg)
+            if self._poses.get_num_connections() or self._poses_covariance.get_num_connections():
+                self._publish_pose(image, target)
         if self._annotated.get_num_connections():
             self._publish_annotated(image, stamp, observations, target)
+
+    def _publish_pose(self, image: Image, target: MarkerDetection) -> None:
+        msg = PoseWithCovarianceStamped(header=image.header)
+        msg.header.frame_id = image.header.frame_id or self._camera_frame
+        T = target.T_camera_marker
+        msg.pose.pose.position.x, msg.pose.pose.position.y, msg.pose.pose.position.z = T[:3, 3].tolist()
+        msg.pose.pose.orientation = quaternion_from_rotation(T[:3, :3])
+        msg.pose.covariance = target.covariance.ravel().tolist()
+        self._poses.publish(PoseStamped(msg.header, msg.pose.pose))
+        self._poses_covariance.publish(msg)
 
     def _publish_annotated(
         self, image: Image, stamp: float, observations: list[MarkerObservation], target: MarkerDetection | None

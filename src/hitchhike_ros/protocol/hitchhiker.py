@@ -74,6 +74,9 @@ RIDE_CANCELLED = "Goal cancelled"
 OUT_OF_SIGHT = "Driver out of sight"
 SEEN_AGAIN = "Driver seen again"
 
+# What it tells its own modules of the driver's speed, which following takes with 0.3 m/s, and of the metres ridden comes
+# in steps, since every change of the status wakes all of them (chosen).
+_SPEED_STEP_MPS = 0.05
 # Of the driver's places those are kept that are this far apart, and as many metres of them (chosen).
 _TOLD_STEP_M, _TOLD_M = 0.2, 4.0
 # The place behind the driver from where it couples anew: so much farther off than the gap, and how well it is reached.
@@ -251,6 +254,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         # A driver that has fallen silent may be standing: its old speed must not push.
         fresh = self._now - self._heard_at <= self.params.ack_timeout_s
         speed = self._report_at.v if fresh and isinstance(self._report_at, Driver) else 0.0
+        speed = _SPEED_STEP_MPS * round(speed / _SPEED_STEP_MPS)
         return ServoCommand("follow", plate.marker_id, plate.marker_size_m, self.params.gap_m, speed)
 
     @property
@@ -263,7 +267,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if self.offer is None:
             return None
         ride_m = self.offer.ride_m if self.meeting is None else self.meeting.ride_m
-        return RideStatus(self.ride_id, self.offer.robot_id, self.robot_id, ride_m, self.ridden_m)
+        return RideStatus(self.ride_id, self.offer.robot_id, self.robot_id, ride_m, math.floor(self.ridden_m))
 
     def gap_m(self) -> float | None:
         """Distance from the own camera to the driver's marker, None when it is not in view."""

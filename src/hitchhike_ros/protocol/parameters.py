@@ -70,7 +70,7 @@ class HitchhikingParameters:
     gap_tolerance_m: Positive = 0.10
     standstill_mps: Positive = 0.02
     cruise_speed_mps: Positive = 0.6
-    ride_speed_mps: Positive = 0.5
+    ride_speed_mps: Positive = 0.6
     safe_speed_mps: Positive = 1.0  # the most of a driver on its way to a hitchhiker (velocity tuning, P18 §8.1.3)
     overlap_tolerance_m: Positive = 0.3  # two plans that go the same way rarely share their cells
     handover: Literal["paper", "measured"] = "measured"

@@ -71,7 +71,7 @@ class KnownRobot:
 
 @dataclass(frozen=True)
 class RideStatus:
-    """The ride as this robot knows it."""
+    """The ride as this robot knows it; a hitchhiker counts whole metres of it."""
 
     ride_id: str
     driver: str
