@@ -1,5 +1,5 @@
 // Corners of a dark square from lines fitted to its sides: finer than a pixel, with the covariance that the scatter of
-// the edge points about their lines tells.
+// the edge points about their lines tells. And what is printed in it.
 
 #include <algorithm>
 #include <array>
@@ -140,21 +140,31 @@ bool fit(const Image &image, Side &side, double reach, bool seeking) {
   return true;
 }
 
-std::optional<std::pair<py::array_t<double>, py::array_t<double>>> fit_square(
-    const py::array &image, const py::array_t<double, py::array::c_style | py::array::forcecast> &corners, double reach,
-    double final_reach) {
-  check_image(image);
+using Corners = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+std::array<Point, 4> four_points(const Corners &corners) {
   if (corners.ndim() != 2 || corners.shape(0) != 4 || corners.shape(1) != 2)
     throw InvalidInput("corners have shape " + std::string(py::str(py::object(corners.attr("shape")))) +
                        ", expected (4, 2)");
-  if (!(reach > 0 && final_reach > 0)) throw InvalidInput("reach is not more than 0");
-  std::array<Point, 4> start{};
+  std::array<Point, 4> out{};
   for (py::ssize_t i = 0; i < 4; ++i)
     for (py::ssize_t j = 0; j < 2; ++j) {
-      start[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)] = corners.at(i, j);
+      out[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)] = corners.at(i, j);
       if (!std::isfinite(corners.at(i, j))) throw InvalidInput("corners hold a number that is not finite");
     }
-  const Image pixels{static_cast<const unsigned char *>(image.data()), image.shape(1), image.shape(0)};
+  return out;
+}
+
+Image image_of(const py::array &image) {
+  check_image(image);
+  return {static_cast<const unsigned char *>(image.data()), image.shape(1), image.shape(0)};
+}
+
+std::optional<std::pair<py::array_t<double>, py::array_t<double>>> fit_square(
+    const py::array &image, const Corners &corners, double reach, double final_reach) {
+  const Image pixels = image_of(image);
+  const std::array<Point, 4> start = four_points(corners);
+  if (!(reach > 0 && final_reach > 0)) throw InvalidInput("reach is not more than 0");
   std::vector<Side> sides;
   {
     py::gil_scoped_release unlocked;
@@ -212,6 +222,38 @@ std::optional<std::pair<py::array_t<double>, py::array_t<double>>> fit_square(
   return std::make_pair(std::move(found), std::move(covariance));
 }
 
+// The grey in the middle of each of cells x cells of a square, row by row from the top, less their mean and as a vector
+// of length 1: of two patterns the dot product is the correlation. Zeros where the square is even.
+py::array_t<double> pattern(const py::array &image, const Corners &corners, int cells) {
+  const Image pixels = image_of(image);
+  // The projective map from the unit square, u right and v down.
+  const auto [p01, p11, p10, p00] = four_points(corners);
+  const Point one = {p10[0] - p11[0], p10[1] - p11[1]}, two = {p01[0] - p11[0], p01[1] - p11[1]};
+  const Point sum = {p00[0] - p10[0] + p11[0] - p01[0], p00[1] - p10[1] + p11[1] - p01[1]};
+  const double det = one[0] * two[1] - two[0] * one[1];
+  const double g = (sum[0] * two[1] - two[0] * sum[1]) / det, h = (one[0] * sum[1] - sum[0] * one[1]) / det;
+  if (cells < 1) throw InvalidInput("cells is " + std::to_string(cells) + ", expected at least 1");
+  std::vector<double> grey;
+  double mean = 0, power = 0;
+  for (int row = 0; row < cells; ++row)
+    for (int column = 0; column < cells; ++column) {
+      const double u = (column + 0.5) / cells, v = (row + 0.5) / cells, w = 1 + g * u + h * v;
+      Point p{};
+      for (std::size_t k = 0; k < 2; ++k)
+        p[k] = (p00[k] + (p10[k] - p00[k] + g * p10[k]) * u + (p01[k] - p00[k] + h * p01[k]) * v) / w;
+      grey.push_back(inside(pixels, p[0], p[1]) ? at(pixels, p[0], p[1]) : 0);
+      mean += grey.back() / (cells * cells);
+    }
+  for (double &value : grey) {
+    value -= mean;
+    power += value * value;
+  }
+  py::array_t<double> out(static_cast<py::ssize_t>(grey.size()));
+  std::transform(grey.begin(), grey.end(), out.mutable_data(),
+                 [scale = power > 0 ? 1 / std::sqrt(power) : 0](double value) { return scale * value; });
+  return out;
+}
+
 }  // namespace
 
 void bind_edge_fit(py::module_ &m) {
@@ -219,4 +261,7 @@ void bind_edge_fit(py::module_ &m) {
         "Corners (4, 2) px, and their covariance (8, 8) px², of a dark square on a bright ground whose corners (4, 2) are\n"
         "known to within `reach` px; None where one of its sides is not to be seen. The image is grey, without distortion;\n"
         "pixel centres have integer coordinates.");
+  m.def("pattern", &pattern, py::arg("image"), py::arg("corners"), py::arg("cells"),
+        "What is printed in a square with corners (4, 2) px: grey levels (cells * cells,) in the middle of its cells, less\n"
+        "their mean and scaled to length 1 (0 where it is even), so that the dot product of two is their correlation.");
 }

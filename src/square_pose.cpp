@@ -68,6 +68,13 @@ Matrix<8, 6> corner_jacobian(const Pose &T, double size) {
   return J;
 }
 
+// The inverse of the covariance's Cholesky factor: errors times that are independent, with variance 1.
+Matrix<8, 8> whitening(const Matrix<8, 8> &covariance) {
+  const Eigen::LLT<Matrix<8, 8>> factors(covariance);
+  if (factors.info() != Eigen::Success) throw InvalidInput("covariance of the corners is not positive definite");
+  return factors.matrixL().solve(Matrix<8, 8>::Identity());
+}
+
 // What is measured of a square: corners in normalised coordinates, and what whitens their errors.
 struct View {
   Corners points;
@@ -233,6 +240,7 @@ std::vector<Solution> square_on_poses(const Corners &points, const Matrix<8, 8> 
 
 void bind_square_pose(py::module_ &m) {
   using unlocked = py::call_guard<py::gil_scoped_release>;
+  m.def("whitening", &whitening, py::arg("covariance"));
   m.def("project_corners", &project_corners, py::arg("T_camera_marker"), py::arg("size"));
   m.def("corner_jacobian", &corner_jacobian, py::arg("T_camera_marker"), py::arg("size"));
   m.def("least_squares", &least_squares, py::arg("points"), py::arg("whitening"), py::arg("size"), py::arg("start"),

@@ -16,12 +16,10 @@ detected, and once in a while to see what else is there.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-import cv2
 import msgspec
 import numpy as np
 
@@ -185,8 +183,8 @@ class MarkerTracker:
         if detection is None:
             self.why_detected = "its sides are not to be seen"
             return None
-        pattern = _pattern(image, _corners(detection, carried.lens), self.detector.cells)
-        likeness = _correlation(pattern, carried.pattern)
+        pattern = _visp_tracker.pattern(image, _corners(detection, carried.lens), self.detector.cells)
+        likeness = float(pattern @ carried.pattern)
         if not likeness >= self.params.min_likeness:
             self.why_detected = f"pattern has a likeness of {likeness:.2f}"
             return None
@@ -236,7 +234,7 @@ class MarkerTracker:
         """From a detection."""
         lens = self.detector.lens(info)
         corners = _corners(seen, lens)
-        pattern = _pattern(lens.straight(gray, corners, _LINES_BORDER), corners, self.detector.cells)
+        pattern = _visp_tracker.pattern(lens.straight(gray, corners, _LINES_BORDER), corners, self.detector.cells)
         before, motion = self._carried, np.zeros((4, 2))
         if before is not None and before.lens is lens and before.seen.id == seen.id:
             motion = _motion(before, corners, stamp)
@@ -264,20 +262,3 @@ def _corners(detection: MarkerDetection, lens: Lens) -> FloatArray:
 def _pixels(points: FloatArray, K: FloatArray) -> FloatArray:
     """Normalised image coordinates (..., 2) as px."""
     return points * np.array([K[0, 0], K[1, 1]]) + K[:2, 2]
-
-
-def _pattern(image: GrayImage, corners: FloatArray, cells: int) -> FloatArray:
-    """Grey levels (cells²,) of the square with ``corners`` (4, 2) px, in the middle of each of cells x cells."""
-    unit = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], dtype=np.float32)
-    H = cv2.getPerspectiveTransform(unit, corners.astype(np.float32))
-    middle = (np.arange(cells) + 0.5) / cells
-    grid = np.stack(np.meshgrid(middle, middle), axis=-1)
-    places = cv2.perspectiveTransform(grid, H).astype(np.float32)
-    return np.asarray(cv2.remap(image, places[..., 0], places[..., 1], cv2.INTER_LINEAR), dtype=float).ravel()
-
-
-def _correlation(a: FloatArray, b: FloatArray) -> float:
-    """Of two patterns, in [-1, 1]; 0 where one of them is even."""
-    a, b = a - a.mean(), b - b.mean()
-    power = float(a @ a) * float(b @ b)
-    return float(a @ b) / math.sqrt(power) if power > 0.0 else 0.0

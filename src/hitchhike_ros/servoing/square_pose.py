@@ -39,7 +39,7 @@ class SquareView:
         cls, points: FloatArray, covariance: FloatArray, size_m: float, size_sigma: float = 0.0
     ) -> SquareView:
         """The corners' errors have a covariance (8, 8)."""
-        return cls(points, np.linalg.inv(np.linalg.cholesky(covariance)), size_m, size_sigma)
+        return cls(points, _visp_tracker.whitening(covariance), size_m, size_sigma)
 
     @property
     def sigma(self) -> float:
