@@ -44,16 +44,6 @@ def test_switches_decide_who_answers(modules: ModuleSwitches, who: set[str]) -> 
     assert {module for _, module in lockstep.waiting_for} == who
 
 
-def test_who_avoids_obstacles_sleeps_while_there_is_nowhere_to_go() -> None:
-    lockstep = Lockstep()
-    lockstep.set_modules("r", ALONE, has_goal=False)
-    lockstep.sent("r", SCAN, 1.0)
-    assert set(lockstep.waiting_for) == {("r", "slam")}
-    lockstep.set_modules("r", ALONE)
-    lockstep.sent("r", SCAN, 2.0)
-    assert set(lockstep.waiting_for) == {("r", "slam"), ("r", "obstacle_avoidance")}
-
-
 def test_answers_close_their_frame_and_older_ones(lockstep: Lockstep) -> None:
     lockstep.sent("p3dx", SCAN, 1.0)
     lockstep.answered("p3dx", "slam", 0.9)  # late, to the frame before

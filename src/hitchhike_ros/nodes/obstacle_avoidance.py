@@ -8,7 +8,7 @@ A human who drives (teleop) is followed in place of the plan, within the speed l
 never into an obstacle; the robot stands while the human wants nothing. Where a driver aligns it drives by itself, where
 it waits for its rider it has no goal and stands.
 
-Subscribed (all but the first only while the module is on and has a goal):
+Subscribed (all but the first only while the module is on):
     hhike_msg/status (std_msgs/String): whether the module is on, the goal, the speed limit, whether somebody rides
     plan (nav_msgs/Path, in ``map``): followed when it ends at the goal; a goal that is only to stand parallel to a wall
         needs none
@@ -147,9 +147,9 @@ class ObstacleAvoidanceNode:
             before, self._status = self._goal, status
             self._by_hand.hear_status()
             goal = self._goal
-            if self._switch.set(goal is not None):  # without one it has nothing to look at
+            if self._switch.set(status.modules.OBS):
                 self._forget()
-                if goal is not None:
+                if status.modules.OBS:
                     self._timer = rospy.Timer(rospy.Duration(_WATCH_PERIOD_S), self._watch, reset=True)
                 elif self._timer is not None:
                     self._timer.shutdown()

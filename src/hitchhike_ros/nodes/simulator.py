@@ -305,7 +305,7 @@ class Simulator:
             rospy.logwarn_throttle(10.0, "%s", exc)
             return
         with self._answers:
-            self._lockstep.set_modules(name, status.modules, status.goal is not None)
+            self._lockstep.set_modules(name, status.modules)
             self._answers.notify_all()
 
     def _on_answer(self, msg: Header, name: str) -> None:

@@ -1,14 +1,15 @@
 """One marker carried from image to image, which finds it where it is blurred, cut or too far to be read.
 
 A detection starts it. From then on lines are fitted to the marker's sides where they are expected, as in a detection:
-where the image's motion from the last but one to the last image leads to, or else where they were. What is printed
-between them has to be what was detected: that tells the marker from another one, and its sides from other edges.
+where the image's motion from the last but one to the last image leads to, or else where the picture of the marker is
+found again. What is printed between them has to be what was detected: that tells the marker from another one, and its
+sides from other edges.
 
-Where no sides are found so, the marker has leapt farther than lines are sought (some px). Then ViSP's model-based
-tracker (moving edges on the sides, KLT points on what is printed between them), started on the image before, says
-where the square has gone, and the lines are fitted there. What it gives by itself is two to eight times less exact
-(``bench tracking``), for its edges are sought at whole pixels and its points drift; and it takes several times as long
-as the lines, so it is not called where they suffice.
+Where no sides are found so, the marker has leapt or changed its looks. Then ViSP's model-based tracker (moving edges on
+the sides, KLT points on what is printed between them), started on the image before, says where the square has gone, and
+the lines are fitted there. What it gives by itself is two to eight times less exact (``bench tracking``), for its edges
+are sought at whole pixels and its points drift; and it takes several times as long as the lines, so it is not called
+where they suffice.
 
 Detection is called again when the marker is lost, when the picture does not fit the model or the pattern that was
 detected, and once in a while to see what else is there.
@@ -34,6 +35,7 @@ from hitchhike_ros.servoing.marker_detector import (
     MarkerDetectorParameters,
     nearest,
 )
+from hitchhike_ros.servoing.patch_shift import patch_shift
 from hitchhike_ros.servoing.square_pose import project_corners
 
 # ViSP's own, for who compares.
@@ -41,8 +43,6 @@ ModelTracker = _visp_tracker.ModelTracker
 # How much farther than the marker pictures are straightened, as a share of its size: for lines, which are sought within
 # some px, and for the model-based tracker.
 _LINES_BORDER, _MODEL_BORDER = 0.1, 1.0
-# Lines that are not where a step of less than this, px, leads to are not where they were either (chosen).
-_STEP_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class MarkerTracker:
 
         None when it has to be detected, and ``why_detected`` says why.
         """
-        for expected in self._expected(carried, stamp):
+        for expected in self._expected(carried, gray, stamp):
             detection = self._measured(carried, gray, expected, _LINES_BORDER)
             if detection is not None:
                 return detection, False
@@ -165,13 +165,15 @@ class MarkerTracker:
         drift = np.abs(_corners(detection, carried.lens) - tracked).max()
         return detection, bool(drift <= self.params.max_drift_px)
 
-    def _expected(self, carried: _Carried, stamp: float) -> Iterator[FloatArray]:
+    def _expected(self, carried: _Carried, gray: GrayImage, stamp: float) -> Iterator[FloatArray]:
         """Corners (4, 2) px near which the lines of the sides may be sought."""
-        if self.detector.has_sides:
-            step = carried.motion * (stamp - carried.stamp)
-            yield carried.corners + step
-            if np.abs(step).max() > _STEP_PX:
-                yield carried.corners
+        if not self.detector.has_sides:
+            return
+        yield carried.corners + carried.motion * (stamp - carried.stamp)
+        before = carried.seen.corners
+        shift = patch_shift(carried.image, gray, before)
+        if shift is not None:
+            yield carried.lens.points(before + shift)
 
     def _measured(
         self, carried: _Carried, gray: GrayImage, expected: FloatArray, border: float

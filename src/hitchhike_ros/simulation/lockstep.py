@@ -8,11 +8,11 @@ from hitchhike_ros.protocol.status import ModuleSwitches
 
 SCAN, IMAGE = "scan", "image"
 
-# Who answers which frame, which switches of P17 Table 3 keep it awake, and whether it sleeps without a goal.
+# Who answers which frame, and which switches of P17 Table 3 keep it awake.
 _ANSWERS = {
-    "slam": (SCAN, ("LZN", "MAP"), False),
-    "obstacle_avoidance": (SCAN, ("OBS",), True),
-    "visual_servoing": (IMAGE, ("VS",), False),
+    "slam": (SCAN, ("LZN", "MAP")),
+    "obstacle_avoidance": (SCAN, ("OBS",)),
+    "visual_servoing": (IMAGE, ("VS",)),
 }
 
 
@@ -44,13 +44,9 @@ class Lockstep:
             elapsed_s < (self._timeout_s if key in self._joined else self._join_timeout_s) for key in self._awaited
         )
 
-    def set_modules(self, robot: str, modules: ModuleSwitches, has_goal: bool = True) -> None:
+    def set_modules(self, robot: str, modules: ModuleSwitches) -> None:
         """What is on; a module that is switched on gets the patience of a new one, one that is off owes nothing."""
-        on = {
-            name
-            for name, (_, switches, wants_goal) in _ANSWERS.items()
-            if any(getattr(modules, s) for s in switches) and (has_goal or not wants_goal)
-        }
+        on = {name for name, (_, switches) in _ANSWERS.items() if any(getattr(modules, s) for s in switches)}
         for module in on - self._on.get(robot, set()):
             self._missed_in_a_row.pop((robot, module), None)
         self._on[robot] = on
