@@ -81,7 +81,7 @@ def _drive_one(scenario: RideScenario, world: WorldFile, seed: int, folder: Path
     scored = score(scenario, record, markers_of(world), goals, local)
     sim_s, wall_s = _lasted(record)
     figures = list(scored.figures)
-    if scenario.launch.get("map_3d"):
+    if scenario.launch.get("map_3d") and scenario.rides:
         figures += _octomap_figures(folder, world, scored.rides)
     if (counts := load_counts(folder)) is not None:
         figures += count_figures(counts)

@@ -156,9 +156,13 @@ class RideMonitor:
             ride = find_ride(self._record)
             step = progress(self._record, ride, None).step
         completed = not reason and ride is not None and ride.decouple_s is not None and step == "Arrived"
-        if not completed:
-            reason = f"not completed, at step {step!r}: {reason or 'no robot goes on'}"
-        status = self._report(ride, completed, reason, time.monotonic() - started)
+        if completed:
+            verdict = "Ride completed"
+        elif not reason and ride is None and step == "Arrived":
+            verdict = "No ride: every robot drove alone"
+        else:
+            verdict = f"Ride not completed, at step {step!r}: {reason or 'no robot goes on'}"
+        status = self._report(ride, completed, verdict, time.monotonic() - started)
         rospy.signal_shutdown("ride over")
         return status
 
@@ -242,17 +246,16 @@ class RideMonitor:
         self._screen.live(live_line(now, self._screen.columns, self._screen.colours), changed=change != self._shown)
         self._shown = change
 
-    def _report(self, ride: Ride | None, completed: bool, reason: str, wall_s: float) -> int:
+    def _report(self, ride: Ride | None, completed: bool, verdict: str, wall_s: float) -> int:
         """Files and tables; the exit status."""
         record, colours = self._record, self._screen.colours
         figures, costs = ride_figures(record), node_costs(record, ride)
         found = record.robots[ride.hitchhiker].obstacles if ride is not None else ()
         matches = match_boxes(record.true_boxes, found)
         sim_s = record.clock[-1].stamp if record.clock else 0.0
-        verdict = f"Ride {'completed' if completed else reason}"
         summary = {
             "completed": completed,
-            "reason": reason,
+            "verdict": verdict,
             "scenario": record.scenario,
             "seed": record.seed,
             "versions": _versions(),

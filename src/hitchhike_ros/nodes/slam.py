@@ -91,8 +91,8 @@ _SILENCE_S = 0.3
 _WATCH_PERIOD_S = 0.1
 # The map is large and boxes grow with every scan: it is not published more often (chosen).
 _MAP_PERIOD_S = 1.0
-# Of a robot that stands and has nowhere to go, a scan is worked on so often (chosen): nobody waits for its pose, and the
-# odometry says that it has not changed. It stands when it is slower than this, in m/s and rad/s.
+# Of a robot that stands and has nowhere to go, a scan is worked on so often (chosen): nobody waits for its pose, which
+# by its odometry has not changed. It stands when it is slower than this, in m/s and rad/s.
 _REST_PERIOD_S, _STANDS = 0.5, 1e-3
 
 

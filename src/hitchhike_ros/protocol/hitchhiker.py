@@ -74,7 +74,7 @@ RIDE_CANCELLED = "Goal cancelled"
 OUT_OF_SIGHT = "Driver out of sight"
 SEEN_AGAIN = "Driver seen again"
 
-# What it tells its own modules of the driver's speed, which following takes with 0.3 m/s, and of the metres ridden comes
+# What it tells its own modules of the driver's speed, which following knows to 0.3 m/s, and of the metres ridden, comes
 # in steps, since every change of the status wakes all of them (chosen).
 _SPEED_STEP_MPS = 0.05
 # Of the driver's places those are kept that are this far apart, and as many metres of them (chosen).

@@ -8,8 +8,8 @@ import numpy as np
 from hitchhike_ros.datatypes import FloatArray
 from hitchhike_ros.servoing.lens import GrayImage
 
-# The part is compared in pictures so large, and sought so far from where it was (chosen: a robot that turns by 0.5 rad/s
-# sees things move by some 60 px/s).
+# The part is compared in pictures so large, and sought so far from where it was (chosen: a robot that turns by 0.2
+# rad/s sees things move by some 100 px/s).
 _STAMP_PX, _REACH_PX = 32.0, 24.0
 # A part that is no more alike than this, by the correlation of grey levels, is another one (chosen).
 _MIN_LIKENESS = 0.7
@@ -38,7 +38,7 @@ def patch_shift(before: GrayImage, now: GrayImage, corners: FloatArray) -> Float
         return None
     part = _stamp(before, low, scale, shape)
     window = _stamp(now, low - reach * scale, scale, shape + 2 * reach)
-    likeness = cv2.matchTemplate(window, part, cv2.TM_CCOEFF_NORMED)
+    likeness = np.asarray(cv2.matchTemplate(window, part, cv2.TM_CCOEFF_NORMED), dtype=float)
     _, best, _, (u, v) = cv2.minMaxLoc(likeness)
     if not best >= _MIN_LIKENESS:
         return None
@@ -50,7 +50,8 @@ def _stamp(image: GrayImage, low: FloatArray, scale: float, shape: FloatArray) -
     """A part of an image that begins at ``low`` px, smaller by ``scale``: ``shape`` (width, height)."""
     to_image = np.array([[scale, 0.0, low[0] + 0.5 * (scale - 1.0)], [0.0, scale, low[1] + 0.5 * (scale - 1.0)]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(image, to_image, shape.tolist(), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    stamp = cv2.warpAffine(image, to_image, shape.tolist(), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(stamp, dtype=np.uint8)
 
 
 def _peak(values: FloatArray, at: int) -> float:
