@@ -27,8 +27,12 @@ using Corners = Matrix<4, 2>;
 // Pose, covariance (6, 6) without the size's share, and chi2 of the corners.
 using Solution = std::tuple<Pose, Matrix<6, 6>, double>;
 
-// From the pose that fits best with the same noise for all corners, it is not far to the one with theirs.
-constexpr int refinements = 2;
+// Of Levenberg and Marquardt's steps, until chi2 changes by no more than that; a handful will do where the corners tell
+// the pose.
+constexpr int max_tries = 50;
+constexpr double unchanged = 1e-9;
+// Optima less than this apart are one.
+constexpr double same_rad = 0.02;
 // Yaws of the grid in units of flat_yaw: its ends are beyond doubt for whatever lies in [-1, 1].
 constexpr int grid = 61, middle = grid / 2;
 constexpr double grid_end = 1.5;
@@ -87,24 +91,94 @@ struct View {
   }
 };
 
-std::optional<Solution> least_squares(const Corners &points, const Matrix<8, 8> &whitening, double size, Pose T) {
-  const View view{points, whitening, size};
-  Matrix<6, 6> information;
-  for (int i = 0; i < refinements; ++i) {
-    const Matrix<8, 6> A = whitening * corner_jacobian(T, size);
-    information = A.transpose() * A;
-    if (!information.allFinite()) return std::nullopt;
-    const Eigen::Array<double, 6, 1> values =
-        Eigen::SelfAdjointEigenSolver<Matrix<6, 6>>(information, Eigen::EigenvaluesOnly).eigenvalues().array().abs();
-    if (!(values.maxCoeff() < 1e12 * values.minCoeff())) return std::nullopt;
-    const Vector<6> d = -information.ldlt().solve(A.transpose() * view.misfit(T));
-    const Eigen::Vector3d turn = d.tail<3>();
-    if (const double angle = turn.norm(); angle > 0)
-      T.block<3, 3>(0, 0) = Eigen::AngleAxisd(angle, turn / angle) * T.block<3, 3>(0, 0);
-    T.block<3, 1>(0, 3) += d.head<3>();
+// The pose from the projective map of the square: exact where the corners are.
+Pose closed_form(const View &view) {
+  const Eigen::Vector2d ll = view.points.row(0), lr = view.points.row(1), ur = view.points.row(2), ul = view.points.row(3);
+  Eigen::Matrix2d sides;
+  sides << lr - ur, ul - ur;
+  const Eigen::Vector2d bent = sides.inverse() * (ll - lr + ur - ul);
+  Eigen::Vector3d right, up, centre;
+  right << lr - ll + bent[0] * lr, bent[0];
+  up << ul - ll + bent[1] * ul, bent[1];
+  centre << ll, 1;
+  centre += 0.5 * (right + up);
+  const double scale = view.size / std::sqrt(right.norm() * up.norm());
+  // The right angle nearest to what noise has made of it.
+  right.normalize();
+  up.normalize();
+  const Eigen::Vector3d half = (right + up).normalized(), across = (right - up).normalized();
+  Pose T = Pose::Identity();
+  T.block<3, 1>(0, 0) = across.cross(half);
+  T.block<3, 1>(0, 1) = (half + across) * M_SQRT1_2;
+  T.block<3, 1>(0, 2) = (half - across) * M_SQRT1_2;
+  T.block<3, 1>(0, 3) = scale * centre;
+  return T;
+}
+
+// The plane's normal and the line of sight span the square-on ambiguity: a small square looks nearly the same when its
+// normal is mirrored at the line of sight.
+Pose mirrored(const Pose &T) {
+  const Eigen::Vector3d back = -T.block<3, 1>(0, 3).normalized(), normal = T.block<3, 1>(0, 0);
+  const Eigen::Quaterniond half = Eigen::Quaterniond::FromTwoVectors(normal, back);
+  Pose out = T;
+  out.block<3, 3>(0, 0) = (half * half).toRotationMatrix() * T.block<3, 3>(0, 0);
+  return out;
+}
+
+Pose moved(const Pose &T, const Vector<6> &d) {
+  Pose out = T;
+  const Eigen::Vector3d turn = d.tail<3>();
+  if (const double angle = turn.norm(); angle > 0)
+    out.block<3, 3>(0, 0) = Eigen::AngleAxisd(angle, turn / angle) * T.block<3, 3>(0, 0);
+  out.block<3, 1>(0, 3) += d.head<3>();
+  return out;
+}
+
+// The pose near T that fits best; nothing where the corners do not determine it.
+std::optional<Solution> least_squares(const View &view, Pose T) {
+  double chi2 = view.misfit(T).squaredNorm(), damping = 1e-6;
+  for (int i = 0; i < max_tries; ++i) {
+    const Matrix<8, 6> A = view.whitening.lazyProduct(corner_jacobian(T, view.size));
+    Matrix<6, 6> information = A.transpose().lazyProduct(A);
+    information.diagonal() *= 1 + damping;
+    const Pose next = moved(T, -information.ldlt().solve(A.transpose().lazyProduct(view.misfit(T))));
+    const double then = view.misfit(next).squaredNorm();
+    const double gain = chi2 - then;
+    if (gain >= 0) {
+      T = next;
+      chi2 = then;
+      damping *= 0.1;
+    } else {
+      damping *= 10;
+    }
+    if (!(std::fabs(gain) > unchanged)) break;
   }
-  if (!(T(2, 3) > 0)) return std::nullopt;
-  return Solution{T, information.inverse(), view.misfit(T).squaredNorm()};
+  const Matrix<8, 6> A = view.whitening.lazyProduct(corner_jacobian(T, view.size));
+  const Matrix<6, 6> information = A.transpose().lazyProduct(A);
+  if (!information.allFinite() || !(T(2, 3) > 0)) return std::nullopt;
+  const Vector<6> values =
+      Eigen::SelfAdjointEigenSolver<Matrix<6, 6>>(information, Eigen::EigenvaluesOnly).eigenvalues();
+  if (!(values[5] < 1e12 * values[0])) return std::nullopt;
+  return Solution{T, information.inverse(), chi2};
+}
+
+// The one or two least-squares poses, the better one first.
+std::vector<Solution> solve(const Corners &points, const Matrix<8, 8> &whitening, double size) {
+  if (!(size > 0) || !std::isfinite(size))
+    throw InvalidInput("marker size is " + std::to_string(size) + " m, expected more than 0");
+  if (!points.allFinite()) throw InvalidInput("corners hold a number that is not finite");
+  const View view{points, whitening, size};
+  std::vector<Solution> solutions;
+  std::optional<Solution> found = least_squares(view, closed_form(view));
+  if (!found) return solutions;
+  const Pose first = std::get<0>(*found);
+  solutions.push_back(std::move(*found));
+  found = least_squares(view, mirrored(first));
+  if (!found) return solutions;
+  const Eigen::AngleAxisd apart(Eigen::Matrix3d(first.block<3, 3>(0, 0).transpose() * std::get<0>(*found).block<3, 3>(0, 0)));
+  if (apart.angle() > same_rad) solutions.push_back(std::move(*found));
+  if (solutions.size() == 2 && std::get<2>(solutions[1]) < std::get<2>(solutions[0])) std::swap(solutions[0], solutions[1]);
+  return solutions;
 }
 
 // Poses of plates by translation along the camera's axes, then roll, pitch and yaw in the base frame. A plate that hangs
@@ -243,8 +317,7 @@ void bind_square_pose(py::module_ &m) {
   m.def("whitening", &whitening, py::arg("covariance"));
   m.def("project_corners", &project_corners, py::arg("T_camera_marker"), py::arg("size"));
   m.def("corner_jacobian", &corner_jacobian, py::arg("T_camera_marker"), py::arg("size"));
-  m.def("least_squares", &least_squares, py::arg("points"), py::arg("whitening"), py::arg("size"), py::arg("start"),
-        unlocked());
+  m.def("solve", &solve, py::arg("points"), py::arg("whitening"), py::arg("size"), unlocked());
   m.def("square_on_poses", &square_on_poses, py::arg("points"), py::arg("whitening"), py::arg("size"), py::arg("start"),
         py::arg("T_base_camera"), py::arg("upright_sigma"), py::arg("flat"), unlocked());
 }

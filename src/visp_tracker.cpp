@@ -1,11 +1,9 @@
-// Marker detection and pose by ViSP, for Python: hitchhike_ros._visp_tracker.
+// Marker detection by ViSP, for Python: hitchhike_ros._visp_tracker.
 //
-// Only hitchhike_ros.servoing.marker_detector imports this module. It takes the image where NumPy has it (no copy),
+// Only hitchhike_ros.servoing imports this module. It takes the image where NumPy has it (no copy),
 // releases the interpreter's lock while ViSP works, and turns every C++ exception into a subclass of
 // hitchhike_ros.errors.VisionError.
 
-#include <array>
-#include <cmath>
 #include <mutex>
 #include <string>
 #include <utility>
@@ -17,14 +15,8 @@
 
 #include "visp_binding.h"
 
-#include <visp3/core/vpColVector.h>
 #include <visp3/core/vpException.h>
-#include <visp3/core/vpHomogeneousMatrix.h>
-#include <visp3/core/vpPoint.h>
-#include <visp3/core/vpRotationMatrix.h>
-#include <visp3/core/vpThetaUVector.h>
 #include <visp3/detection/vpDetectorAprilTag.h>
-#include <visp3/vision/vpPose.h>
 
 namespace py = pybind11;
 
@@ -95,101 +87,14 @@ private:
   std::mutex mutex_;
 };
 
-// The plane's normal and the line of sight span the square-on ambiguity: a small square looks nearly the same when its
-// normal is mirrored at the line of sight.
-vpHomogeneousMatrix mirrored(const vpHomogeneousMatrix &T) {
-  vpColVector sight(T.getTranslationVector()), normal(3);
-  sight.normalize();
-  for (unsigned int i = 0; i < 3; ++i) normal[i] = T[i][2];
-  vpColVector axis = vpColVector::crossProd(normal, sight);
-  const double sine = axis.frobeniusNorm();
-  if (sine < 1e-6) return T;
-  // Twice the angle between the normal and the line of sight, whichever way that points.
-  const double cosine = vpColVector::dotProd(normal, sight);
-  axis *= 2 * std::atan2(cosine < 0 ? -sine : sine, std::fabs(cosine)) / sine;
-  const vpRotationMatrix turn(vpThetaUVector(axis[0], axis[1], axis[2]));
-  return vpHomogeneousMatrix(T.getTranslationVector(), turn * T.getRotationMatrix());
-}
-
-struct Solution {
-  vpHomogeneousMatrix T;
-  double residual;  // RMS distance of the projected corners, in normalised coordinates
-};
-
-// The pose that fits the corners best and, where there is one, the other local optimum; the better one first.
-//
-// Lagrange's linear solution refined by virtual visual servoing: of ViSP's methods it is the fastest and the only one
-// that reaches the least-squares optimum always (Dementhon's start ends in the mirrored pose in up to a sixth of the views).
-std::vector<Solution> solve(const std::array<std::array<double, 2>, 4> &corners, double size) {
-  const double h = size / 2;
-  const std::array<std::array<double, 2>, 4> square = {{{-h, -h}, {h, -h}, {h, h}, {-h, h}}};
-  vpPose pose;
-  for (std::size_t i = 0; i < 4; ++i) {
-    vpPoint point(square[i][0], square[i][1], 0);
-    point.set_x(corners[i][0]);
-    point.set_y(corners[i][1]);
-    pose.addPoint(point);
-  }
-  std::vector<Solution> solutions;
-  const auto keep = [&](const vpHomogeneousMatrix &T) {
-    const double residual = std::sqrt(pose.computeResidual(T) / 4);
-    if (std::isfinite(residual) && T[2][3] > 0) solutions.push_back({T, residual});
-  };
-  vpHomogeneousMatrix T;
-  pose.computePose(vpPose::LAGRANGE_VIRTUAL_VS, T);
-  keep(T);
-  if (solutions.empty()) return solutions;
-  vpHomogeneousMatrix other = mirrored(T);
-  pose.computePose(vpPose::VIRTUAL_VS, other);
-  constexpr double same_rad = 0.02;
-  const vpThetaUVector apart(T.getRotationMatrix().t() * other.getRotationMatrix());
-  if (apart.getTheta() > same_rad) keep(other);
-  if (solutions.size() == 2 && solutions[1].residual < solutions[0].residual) std::swap(solutions[0], solutions[1]);
-  return solutions;
-}
-
-std::vector<std::pair<py::array_t<double>, double>> square_poses(
-    const py::array_t<double, py::array::c_style | py::array::forcecast> &corners, double size) {
-  if (corners.ndim() != 2 || corners.shape(0) != 4 || corners.shape(1) != 2)
-    throw InvalidInput("corners have shape " + std::string(py::str(py::object(corners.attr("shape")))) +
-                       ", expected (4, 2)");
-  if (!(size > 0) || !std::isfinite(size))
-    throw InvalidInput("marker size is " + std::to_string(size) + " m, expected more than 0");
-  std::array<std::array<double, 2>, 4> points{};
-  for (py::ssize_t i = 0; i < 4; ++i)
-    for (py::ssize_t j = 0; j < 2; ++j) {
-      points[i][j] = corners.at(i, j);
-      if (!std::isfinite(points[i][j])) throw InvalidInput("corners hold a number that is not finite");
-    }
-  std::vector<Solution> solutions;
-  {
-    py::gil_scoped_release unlocked;
-    solutions = solve(points, size);
-  }
-  std::vector<std::pair<py::array_t<double>, double>> out;
-  for (const Solution &solution : solutions) {
-    py::array_t<double> T({4, 4});
-    auto t = T.mutable_unchecked<2>();
-    for (unsigned int i = 0; i < 4; ++i)
-      for (unsigned int j = 0; j < 4; ++j) t(i, j) = solution.T[i][j];
-    out.emplace_back(std::move(T), solution.residual);
-  }
-  return out;
-}
-
 }  // namespace
 
 PYBIND11_MODULE(_visp_tracker, m) {
-  m.doc() = "AprilTag detection and pose by ViSP, on NumPy images in place.";
+  m.doc() = "AprilTags and squares by ViSP and by lines, on NumPy images in place, and their poses.";
   const py::object base = py::module_::import("hitchhike_ros.errors").attr("VisionError");
   py::register_exception<InvalidInput>(m, "InvalidInputError", base);
   py::register_exception<vpException>(m, "VispError", base);
 
-  m.def("square_poses", &square_poses, py::arg("corners"), py::arg("size"),
-        "Poses of a square from its four corners (4, 2) in normalised, undistorted image coordinates, lower left first\n"
-        "and counter-clockwise: a list, best first, of (T_camera_tag (4, 4), RMS residual). One or two of them (the\n"
-        "square-on ambiguity), none when no pose in front of the camera fits. Tag frame: x right, y up, z towards the\n"
-        "viewer; size is the side in m.");
   py::class_<TagDetector>(m, "TagDetector")
       .def(py::init<const std::string &, float, int, bool, double>(), py::arg("family") = "36h11", py::kw_only(),
            py::arg("quad_decimate") = 1.0F, py::arg("threads") = 1, py::arg("refine_edges") = true,

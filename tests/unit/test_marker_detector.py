@@ -23,9 +23,8 @@ from hitchhike_ros.servoing.marker_detector import (
     MarkerDetectorParameters,
     planar_jacobian,
     planar_observation,
-    solve,
 )
-from hitchhike_ros.servoing.square_pose import SquareView, corner_jacobian, project_corners
+from hitchhike_ros.servoing.square_pose import SquareView, corner_jacobian, project_corners, solve
 
 CAMERA, T_BASE_CAMERA = images.CAMERA, images.T_BASE_CAMERA
 SIZE = 0.16

@@ -94,6 +94,108 @@ def test_another_pattern_in_its_place_is_not_taken_for_it():
     assert not tracker.tracking
 
 
+class CountedModel:
+    """ViSP's model-based tracker, and what is asked of it."""
+
+    def __init__(self, model):
+        self.model, self.calls = model, []
+
+    def start(self, *arguments):
+        self.calls.append("start")
+        return self.model.start(*arguments)
+
+    def track(self, *arguments):
+        self.calls.append("track")
+        return self.model.track(*arguments)
+
+
+def counted(tracker):
+    tracker._model = CountedModel(tracker._model)
+    return tracker._model.calls
+
+
+def test_the_model_based_tracker_rests_while_lines_suffice():
+    tracker = MarkerTracker()
+    calls = counted(tracker)
+    for i in range(40):  # faster and faster, up to 5 px from image to image
+        T = marker_pose(0.8, 0.1, 0.0, -0.1 + 0.18e-3 * min(i, 20) ** 2 + 0.0072 * max(i - 20, 0))
+        [seen] = see(tracker, picture(T), 0.1 * i)
+        assert np.abs(seen.corners - pixels(T)).max() < 0.2
+        assert tracker.tracking == (i not in (0, 21))
+    assert not calls
+
+
+@pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, D=D)], ids=["pinhole", "lens"])
+def test_the_model_based_tracker_follows_where_lines_do_not_reach(camera):
+    tracker = MarkerTracker()
+    calls = counted(tracker)
+    for i, x in enumerate([0.0, 0.0, 0.008, 0.002, 0.01, 0.01, 0.01]):  # to and fro by some 5 px
+        T = marker_pose(0.8, 0.3, 0.0, x)
+        [seen] = see(tracker, picture(T, seed=i, camera=camera), 0.1 * i, camera=camera)
+        assert tracker.tracking == (i > 0)
+        assert np.linalg.norm(seen.T_camera_marker[:3, 3] - T[:3, 3]) < 0.003
+        truth = pixels(T) if camera is CAMERA else lens_truth(T, camera)
+        assert np.abs(seen.corners - truth).max() < 0.2
+    # It starts once, and goes on as long as it is needed.
+    assert calls == ["start", "track", "track", "track"]
+
+
+def test_how_far_the_model_based_tracker_is_behind_does_not_matter():
+    """Lines carry the marker first; where it then leaps is found from the image before, not from its detection."""
+    tracker = MarkerTracker()
+    calls = counted(tracker)
+    for i in range(12):
+        see(tracker, picture(marker_pose(0.8, 0.2, 0.0, 0.003 * i)), 0.1 * i)
+    assert tracker.tracking
+    T = marker_pose(0.8, 0.2, 0.0, 0.003 * 11 + 0.012)
+    [seen] = see(tracker, picture(T), 1.2)
+    assert tracker.tracking
+    assert calls == ["start", "track"]
+    assert np.abs(seen.corners - pixels(T)).max() < 0.2
+
+
+@pytest.mark.parametrize(("right", "down"), [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1)])
+@pytest.mark.parametrize("distance", [0.6, 1.5, 2.5])
+def test_a_marker_that_moved_by_a_cell_is_not_seen_where_it_was(distance, right, down):
+    tracker = MarkerTracker()
+    cell = SIZE / 8
+    see(tracker, picture(marker_pose(distance, 0.1)), 0.0)
+    T = marker_pose(distance, 0.1, 0.0, right * cell, down * cell)
+    [seen] = see(tracker, picture(T), 0.1)
+    assert np.abs(seen.corners - pixels(T)).max() < 0.5
+
+
+@pytest.mark.parametrize("marker_id", [1, 2, 3, 7, 11])
+def test_another_marker_that_takes_its_place_on_the_move_is_not_taken_for_it(marker_id):
+    tracker = MarkerTracker()
+    for i in range(4):
+        see(tracker, picture(marker_pose(0.8, 0.1, 0.0, 0.003 * i)), 0.1 * i)
+    assert tracker.tracking
+    seen = see(tracker, picture(marker_pose(0.8, 0.1, 0.0, 0.012), marker_id=marker_id), 0.4)
+    assert [d.id for d in seen] == [marker_id]
+    assert not tracker.tracking
+
+
+def test_patterns_are_alike_as_far_as_they_correlate():
+    image = picture(marker_pose(0.8, 0.4))
+    corners = pixels(marker_pose(0.8, 0.4))
+    own = _visp_tracker.pattern(image, corners, 8)
+    # The same places by OpenCV.
+    unit = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+    middle = (np.arange(8) + 0.5) / 8
+    grid = np.stack(np.meshgrid(middle, middle), axis=-1)
+    at = cv2.perspectiveTransform(grid, cv2.getPerspectiveTransform(unit, corners.astype(np.float32)))
+    grey = cv2.remap(image, at.astype(np.float32), None, cv2.INTER_LINEAR).astype(float).ravel()
+    assert own @ own == pytest.approx(1.0)
+    assert np.corrcoef(own, grey)[0, 1] > 0.999
+    darker = _visp_tracker.pattern((0.3 * image + 20).astype(np.uint8), corners, 8)
+    assert own @ darker > 0.999
+    assert own @ _visp_tracker.pattern(255 - image, corners, 8) == pytest.approx(-1.0, abs=1e-3)
+    assert not _visp_tracker.pattern(np.full((480, 640), 90, np.uint8), corners, 8).any()
+    with pytest.raises(VisionError, match="cells is 0"):
+        _visp_tracker.pattern(image, corners, 0)
+
+
 def test_a_jump_is_detected():
     tracker = MarkerTracker()
     assert see(tracker, picture(marker_pose(1.0, 0.3)), 0.0)

@@ -1,18 +1,16 @@
-"""The compiled module alone: photographs, poses of a square, refusals."""
+"""The compiled module alone: photographs, refusals."""
 
 from __future__ import annotations
 
 import threading
 
-import cv2
 import marker_images as images
 import numpy as np
 import pytest
 
 from hitchhike_ros import _visp_tracker
 from hitchhike_ros.errors import VisionError
-
-HALF = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+from hitchhike_ros.servoing.square_pose import SquareView, project_corners, solve
 
 
 @pytest.mark.parametrize("decimate", [1.0, 2.0])
@@ -73,30 +71,13 @@ def test_pose_agrees_with_ground_truth(tag):
     truth = np.loadtxt(images.VISP_DATA / f"benchmark/640x480/cMo_{tag}.txt")
     ids, corners = _visp_tracker.TagDetector("36h11").detect(image)
     normalised = (corners[ids.tolist().index(tag)] - (320.0, 240.0)) / 700.0
-    (T, residual), *_ = _visp_tracker.square_poses(normalised, 0.2 if tag < 3 else 0.1)
+    view = SquareView.with_sigma(normalised, 0.1 / 700.0, 0.2 if tag < 3 else 0.1)
+    T = solve(view)[0].T_camera_marker
     assert np.linalg.norm(T[:3, 3] - truth[:3, 3]) < 0.01 * truth[2, 3]
-    # The file's tag lies in the same frame, its z axis away from the viewer or towards: compare the planes.
-    assert abs(T[:3, 2] @ truth[:3, 2]) > np.cos(np.radians(1.5))
-    assert residual * 700.0 < 0.5
-
-
-def test_both_poses_of_a_nearly_square_on_tag_come_best_first():
-    R = cv2.Rodrigues(np.array([0.0, 0.25, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
-    points = np.c_[0.16 * HALF, np.zeros(4)] @ R.T + np.array([0.0, 0.0, 2.0])
-    solutions = _visp_tracker.square_poses(points[:, :2] / points[:, 2:], 0.16)
-    assert len(solutions) == 2
-    (first, residual), (second, other_residual) = solutions
-    assert np.allclose(first[:3, :3], R, atol=1e-4)
-    assert np.allclose(first[:3, 3], (0.0, 0.0, 2.0), atol=1e-4)
-    assert residual < 1e-8 < other_residual
-    # The other one is turned to the opposite side by about as much.
-    assert second[0, 2] == pytest.approx(-first[0, 2], abs=0.03)
-
-
-def test_one_pose_where_only_one_fits():
-    R = cv2.Rodrigues(np.array([0.0, 0.2, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
-    points = np.c_[0.16 * HALF, np.zeros(4)] @ R.T + np.array([0.0, 0.0, 0.3])
-    assert len(_visp_tracker.square_poses(points[:, :2] / points[:, 2:], 0.16)) == 1
+    # The file's z axis points away from the viewer or towards: compare the planes.
+    assert abs(T[:3, 0] @ truth[:3, 2]) > np.cos(np.radians(1.5))
+    residual = project_corners(T, view.size_m) - normalised
+    assert np.sqrt((residual**2).sum(axis=1).mean()) * 700.0 < 0.5
 
 
 @pytest.mark.parametrize(
@@ -121,20 +102,11 @@ def test_unusable_images_are_refused_rather_than_converted(image, named):
         (lambda: _visp_tracker.TagDetector("99h9"), "99h9.*36h11"),
         (lambda: _visp_tracker.TagDetector(quad_decimate=0.5), "quad_decimate"),
         (lambda: _visp_tracker.TagDetector(threads=0), "threads"),
-        (lambda: _visp_tracker.square_poses(HALF, 0.0), "size"),
-        (lambda: _visp_tracker.square_poses(HALF[:3], 0.16), r"\(3, 2\)"),
-        (lambda: _visp_tracker.square_poses(np.full((4, 2), np.nan), 0.16), "finite"),
     ],
 )
 def test_unusable_arguments_are_named(call, named):
     with pytest.raises(_visp_tracker.InvalidInputError, match=named) as caught:
         call()
-    assert isinstance(caught.value, VisionError)
-
-
-def test_an_exception_of_visp_arrives_as_a_python_one():
-    with pytest.raises(_visp_tracker.VispError) as caught:
-        _visp_tracker.square_poses(np.zeros((4, 2)), 0.16)
     assert isinstance(caught.value, VisionError)
 
 

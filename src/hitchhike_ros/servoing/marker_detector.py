@@ -26,7 +26,7 @@ from hitchhike_ros.errors import VisionError
 from hitchhike_ros.geometry import pose_from_matrix, wrap_angle
 from hitchhike_ros.servoing import qr_codes
 from hitchhike_ros.servoing.lens import GrayImage, Lens
-from hitchhike_ros.servoing.square_pose import PoseSolution, SquareView, least_squares, square_on_poses
+from hitchhike_ros.servoing.square_pose import PoseSolution, SquareView, solve, square_on_poses
 
 # ViSP's own, for who compares.
 TagDetector = _visp_tracker.TagDetector
@@ -333,13 +333,6 @@ def planar_observation(detection: MarkerDetection, T_base_camera: FloatArray, st
         w = detection.weight
         covariance = w * covariance + (1 - w) * (covariances[1] + np.outer(apart, apart))
     return MarkerObservation(stamp, detection.id, poses[0], covariance)
-
-
-def solve(view: SquareView) -> tuple[PoseSolution, ...]:
-    """The least-squares poses, the better one first."""
-    starts = (T_camera_tag @ T_TAG_MARKER for T_camera_tag, _ in _visp_tracker.square_poses(view.points, view.size_m))
-    solutions = [found for start in starts if (found := least_squares(view, start)) is not None]
-    return tuple(sorted(solutions, key=lambda solution: solution.chi2))
 
 
 def nearest(detections: Iterable[MarkerDetection]) -> MarkerDetection | None:

@@ -79,10 +79,9 @@ def corner_jacobian(T_camera_marker: FloatArray, size_m: float) -> FloatArray:
     return _visp_tracker.corner_jacobian(T_camera_marker, size_m)
 
 
-def least_squares(view: SquareView, start: FloatArray) -> PoseSolution | None:
-    """The pose near ``start`` (4, 4) that fits best (Gauss-Newton); None where the corners do not determine it."""
-    found = _visp_tracker.least_squares(view.points, view.whitening, view.size_m, start)
-    return None if found is None else _solution(view, *found)
+def solve(view: SquareView) -> tuple[PoseSolution, ...]:
+    """The one or two least-squares poses, the better one first; none where the corners do not determine one."""
+    return tuple(_solution(view, *found) for found in _visp_tracker.solve(view.points, view.whitening, view.size_m))
 
 
 def flat_yaw(view: SquareView, depth_m: float) -> float:
