@@ -199,17 +199,20 @@ class ObstacleAvoidanceNode:
     def _on_scan(self, msg: LaserScanMsg) -> None:
         stamp = msg.header.stamp.to_sec()
         with self._changed:
-            try:
-                scan = scan_from_msg(msg)
-            except SensorDataError as exc:
-                self._diagnostics.count("bad_scans")
-                self._decided_at = rospy.get_time()
-                self._stand(str(exc))
-            else:
-                if self._goal is not None:
-                    self._changed.wait_for(lambda: self._goal is None or self._located(stamp), self._pose_wait_s)
-                self._decide(scan)
+            self._decided_at = rospy.get_time()
+            if self._goal is not None:
+                self._work(msg, stamp)
         self._answer(stamp)
+
+    def _work(self, msg: LaserScanMsg, stamp: float) -> None:
+        try:
+            scan = scan_from_msg(msg)
+        except SensorDataError as exc:
+            self._diagnostics.count("bad_scans")
+            self._stand(str(exc))
+            return
+        self._changed.wait_for(lambda: self._goal is None or self._located(stamp), self._pose_wait_s)
+        self._decide(scan)
 
     def _located(self, stamp: float) -> bool:
         return self._estimate is not None and self._estimate.stamp >= stamp - _STAMP_TOLERANCE_S

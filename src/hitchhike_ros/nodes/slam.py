@@ -93,7 +93,7 @@ _WATCH_PERIOD_S = 0.1
 _MAP_PERIOD_S = 1.0
 # Of a robot that stands and has nowhere to go, a scan is worked on so often (chosen): nobody waits for its pose, which
 # by its odometry has not changed. It stands when it is slower than this, in m/s and rad/s.
-_REST_PERIOD_S, _STANDS = 0.5, 1e-3
+_REST_PERIOD_S, _STANDS = 0.8, 1e-3
 
 
 class Slam:
