@@ -22,7 +22,7 @@ Parameters:
     ~urdf (path): mounts of camera and marker
     ~world (path): markers and hitchhiking points; what it says of this robot, and of all, comes before ~config
     ~robot_id (string, default: the namespace)
-    ~rate (Hz, 10): steps of the machines
+    ~rate (Hz, 10): steps of the machines; half as many while a hitchhiker rides and nothing happens
     ~network_in, ~network_out (string, /hhike_msg/network): topics where it hears the others and speaks to them
     ~awards (path, $ROS_HOME/hitchhike_awards.sqlite): ledger of what this robot earns by driving, which several robots
         may share; ROS_HOME is ~/.ros where it is not set; empty: none is kept
@@ -66,7 +66,7 @@ from hitchhike_ros.protocol.machine import (
     Tick,
     stamped,
 )
-from hitchhike_ros.protocol.messages import NewObstacles, encode
+from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, MapMessage, NewObstacles, encode
 from hitchhike_ros.protocol.observations import Observations, decode_observations
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status, encode_status
@@ -85,6 +85,8 @@ from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path
 
 # An estimate older than this is no longer the robot's pose (s).
 _ESTIMATE_AGE_S = 1.0
+# What comes again and again can wait for the next step.
+_REPEATED = (Ack, Beacon, Driver, MapMessage)
 # Bad messages of one sender are logged once in so long (s).
 _LOG_PERIOD_S = 10.0
 
@@ -110,7 +112,7 @@ class HitchhikeComm:
         self._inbox = Inbox(robot_id)
         # Starting from the clock keeps a restarted robot from looking like a replay of its old self.
         self._seq = int(rospy.Time.now().to_sec() * 1000)
-        self._lock = threading.Lock()
+        self._lock, self._steps = threading.Lock(), threading.Lock()
         self._events: deque[object] = deque()
         self._grid: OccupancyGrid | None = None
         self._situation = Situation()
@@ -120,10 +122,12 @@ class HitchhikeComm:
         self._fed_back: PoseEstimate | None = None
         self._observations = Observations()
         self._published: Status | None = None
+        self._passed = False  # the step before was left out
         self._logged: dict[str, float] = {}
         self._diagnostics = Diagnostics("hitchhike_comm")
 
         self._awards = AwardKeeper(robot_id)
+        self._move_base = MoveBaseServer()
 
         self._network = rospy.Publisher(network_topic("network_out"), String, queue_size=50, tcp_nodelay=True)
         self._status = rospy.Publisher("hhike_msg/status", String, queue_size=10, latch=True, tcp_nodelay=True)
@@ -144,7 +148,6 @@ class HitchhikeComm:
             rospy.Subscriber(topic, cls, callback, queue_size=50 if cls is String else 1, tcp_nodelay=True)
             for topic, cls, callback in subscriptions
         ]
-        self._move_base = MoveBaseServer()
         self._timer = rospy.Timer(rospy.Duration(1.0 / float(rospy.get_param("~rate", 10.0))), self._step, reset=True)
 
     # Callbacks store.
@@ -156,9 +159,12 @@ class HitchhikeComm:
         except MessageError as exc:
             self._drop(str(msg._connection_header.get("callerid", "?")), f"network message dropped: {exc}")
             return
-        if message is not None:
-            with self._lock:
-                self._events.append(message)
+        if message is None:
+            return
+        with self._lock:
+            self._events.append(message)
+        if not isinstance(message, _REPEATED):
+            self._step()
 
     def _on_estimate(self, msg: PoseWithCovarianceStamped) -> None:
         with self._lock:
@@ -209,11 +215,17 @@ class HitchhikeComm:
         with self._lock:
             self._observations = observations
 
-    # The one place that steps the machines.
+    # The one place that steps the machines: in turn with the clock, and at once when another robot wants something.
 
-    def _step(self, _event: rospy.timer.TimerEvent) -> None:
-        now = rospy.Time.now().to_sec()
+    def _step(self, _event: rospy.timer.TimerEvent | None = None) -> None:
+        with self._steps:
+            self._step_once(rospy.Time.now().to_sec())
+
+    def _step_once(self, now: float) -> None:
         with self._lock:
+            self._passed = not self._passed and self._only_follows()
+            if self._passed:
+                return
             events, self._events = list(self._events), deque()
             estimate, observations, situation = self._estimate, self._observations, self._situation
             # Without a plan there is nothing to say of driving along it.
@@ -240,6 +252,11 @@ class HitchhikeComm:
                 self._move_base.feed_back(estimate.pose, estimate.stamp)
             if (outcome := self._traveller.outcome) is not None:
                 self._move_base.finish(*outcome)
+
+    def _only_follows(self) -> bool:
+        """Whether it rides, and nothing has happened: then every other step is left out."""
+        riding = self._published is not None and self._published.state == "riding"
+        return riding and self._observations.following == "following" and not self._events
 
     def _carry_out(self, effect: Effect, now: float) -> None:
         if isinstance(effect, Send):

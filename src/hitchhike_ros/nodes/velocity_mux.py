@@ -12,7 +12,7 @@ Published:
     /diagnostics (diagnostic_msgs/DiagnosticArray): the source that drives, commands refused
 Parameters:
     ~config (path), sections ``velocity_mux`` (control.velocity_mux.VelocityMuxParameters) and ``robot``
-    ~rate (Hz, 20)
+    ~rate (Hz, 10)
 TF: none.
 """
 
@@ -44,7 +44,7 @@ class VelocityMuxNode:
         self._mux = VelocityMux(
             node_parameters(VelocityMuxParameters, "velocity_mux"), node_parameters(RobotLimits, "robot")
         )
-        rate = convert(rospy.get_param("~rate", 20.0), Positive, rospy.get_name(), "~rate")
+        rate = convert(rospy.get_param("~rate", 10.0), Positive, rospy.get_name(), "~rate")
         self._lock = threading.Lock()
         self._commanded = False  # since the timer's last turn
         self._published, self._published_at = Twist2D(), -math.inf

@@ -10,6 +10,7 @@ from typing import Any
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
 from hitchhike_ros.errors import HitchhikeError, MessageError
@@ -96,7 +97,9 @@ class Switch:
             return False
         if on:
             self._subscribers = [
-                rospy.Subscriber(topic, cls, callback, queue_size=self._queue_size, buff_size=1 << 22, tcp_nodelay=True)
+                rospy.Subscriber(
+                    topic, cls, callback, queue_size=self._queue_size, buff_size=_buffer_of(cls), tcp_nodelay=True
+                )
                 for topic, cls, callback in self._topics
             ]
         else:
@@ -104,6 +107,12 @@ class Switch:
                 subscriber.unregister()
             self._subscribers = []
         return True
+
+
+def _buffer_of(cls: type) -> int:
+    """Bytes that rospy takes from a socket at once. With less than an image, images wait there and grow old; with more
+    than needed, all of it is allocated for each message."""
+    return 1 << 22 if cls is Image else 1 << 16
 
 
 class StatusListener:
