@@ -22,7 +22,7 @@ Parameters:
     ~urdf (path): mounts of camera and marker
     ~world (path): markers and hitchhiking points; what it says of this robot, and of all, comes before ~config
     ~robot_id (string, default: the namespace)
-    ~rate (Hz, 10): steps of the machines; half as many while a hitchhiker rides and nothing happens
+    ~rate (Hz, 10): steps of the machines; half as many while nothing happens and the robot rides or stands
     ~network_in, ~network_out (string, /hhike_msg/network): topics where it hears the others and speaks to them
     ~awards (path, $ROS_HOME/hitchhike_awards.sqlite): ledger of what this robot earns by driving, which several robots
         may share; ROS_HOME is ~/.ros where it is not set; empty: none is kept
@@ -223,7 +223,7 @@ class HitchhikeComm:
 
     def _step_once(self, now: float) -> None:
         with self._lock:
-            self._passed = not self._passed and self._only_follows()
+            self._passed = not self._passed and self._quiet()
             if self._passed:
                 return
             events, self._events = list(self._events), deque()
@@ -253,10 +253,13 @@ class HitchhikeComm:
             if (outcome := self._traveller.outcome) is not None:
                 self._move_base.finish(*outcome)
 
-    def _only_follows(self) -> bool:
-        """Whether it rides, and nothing has happened: then every other step is left out."""
-        riding = self._published is not None and self._published.state == "riding"
-        return riding and self._observations.following == "following" and not self._events
+    def _quiet(self) -> bool:
+        """Whether nothing has happened, and the robot rides or has nothing to do: then every other step is left out."""
+        status = self._published
+        if status is None or self._events:
+            return False
+        follows = status.state == "riding" and self._observations.following == "following"
+        return follows or (status.goal is None and status.servo is None)
 
     def _carry_out(self, effect: Effect, now: float) -> None:
         if isinstance(effect, Send):
