@@ -15,8 +15,8 @@ Published:
     initialpose (geometry_msgs/PoseWithCovarianceStamped): the pose taken over from a driver
     /diagnostics (diagnostic_msgs/DiagnosticArray)
 Action:
-    move_base (move_base_msgs/MoveBaseAction): drives or rides to a pose in ``map``, with feedback at each step; a new
-        goal preempts the one before, a cancel stops the robot, and an abort's text says why
+    move_base (move_base_msgs/MoveBaseAction): drives or rides to a pose in ``map``, with feedback at each new pose; a
+        new goal preempts the one before, a cancel stops the robot, and an abort's text says why
 Parameters:
     ~config (path), sections ``hitchhiking`` (protocol.parameters.HitchhikingParameters) and ``robot``
     ~urdf (path): mounts of camera and marker
@@ -66,7 +66,7 @@ from hitchhike_ros.protocol.machine import (
     Tick,
     stamped,
 )
-from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, MapMessage, NewObstacles, encode
+from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, NewObstacles, encode
 from hitchhike_ros.protocol.observations import Observations, decode_observations
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status, encode_status
@@ -86,13 +86,14 @@ from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path
 # An estimate older than this is no longer the robot's pose (s).
 _ESTIMATE_AGE_S = 1.0
 # What comes again and again can wait for the next step.
-_REPEATED = (Ack, Beacon, Driver, MapMessage)
+_REPEATED = (Ack, Beacon, Driver)
 # Bad messages of one sender are logged once in so long (s).
 _LOG_PERIOD_S = 10.0
 
 
 class HitchhikeComm:
-    """Stores what arrives; one timer steps the traveller and carries out what it wants."""
+    """Stores what arrives; a timer, and who wants something, step the traveller one at a time, and carry out what it
+    wants."""
 
     def __init__(self) -> None:
         world = path_parameter("world")

@@ -65,6 +65,7 @@ from hitchhike_ros.geometry import compose, inverse, pose_from_matrix
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.localization.particle_localizer import ParticleLocalizer
+from hitchhike_ros.localization.rest import Rest
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import load_sites
@@ -91,9 +92,6 @@ _SILENCE_S = 0.3
 _WATCH_PERIOD_S = 0.1
 # The map is large and boxes grow with every scan: it is not published more often (chosen).
 _MAP_PERIOD_S = 1.0
-# Of a robot that stands and has nowhere to go, a scan is worked on so often (chosen): nobody waits for its pose, which
-# by its odometry has not changed. It stands when it is slower than this, in m/s and rad/s.
-_REST_PERIOD_S, _STANDS = 0.8, 1e-3
 
 
 class Slam:
@@ -123,8 +121,8 @@ class Slam:
         self._localizer: Localizer | None = None
         self._odometry_problem = ""
         self._scanned_at = 0.0
-        self._worked_at = -math.inf  # stamp of the newest scan that was worked on
-        self._moves = self._has_goal = True
+        self._rest = Rest()
+        self._left_out: LaserScanMsg | None = None  # the newest scan, where it was not worked on
         self._timer: rospy.Timer | None = None
 
         self._poses = rospy.Publisher("amcl_pose", PoseWithCovarianceStamped, queue_size=1, tcp_nodelay=True)
@@ -159,8 +157,10 @@ class Slam:
     def _on_status(self, status: Status) -> None:
         with self._lock:
             self._others = [(Pose2D(robot.x, robot.y), robot.radius_m) for robot in status.robots]
-            self._has_goal = status.goal is not None
+            self._rest.has_goal = status.goal is not None
             self._turn(status.modules)
+            if self._rest.has_goal and self._left_out is not None:
+                self._work(self._left_out)  # who drives now waits for its pose
 
     def _turn(self, modules: ModuleSwitches) -> None:
         with self._lock:
@@ -171,8 +171,8 @@ class Slam:
                 # Odometry from before the pause says nothing about the way since: the filter starts anew.
                 self._localizer = self._made
                 self._localizer.restart()
-                self._odometry_problem, self._scanned_at, self._worked_at = "", rospy.get_time(), -math.inf
-                self._moves = True
+                self._odometry_problem, self._scanned_at, self._left_out = "", rospy.get_time(), None
+                self._rest.wake()
                 self._start()
                 self._timer = rospy.Timer(rospy.Duration(_WATCH_PERIOD_S), self._watch, reset=True)
                 return
@@ -204,12 +204,14 @@ class Slam:
             return
         with self._lock:
             self._pending = estimate_from_msg(msg)
+            self._rest.wake()
             self._start()
 
     def _on_global_localization(self, _request: EmptyRequest) -> EmptyResponse:
         with self._lock:
             if not isinstance(self._localizer, ParticleLocalizer):
                 raise rospy.ServiceException("localization is off")
+            self._rest.wake()
             self._localizer.globalize()
         return EmptyResponse()
 
@@ -231,7 +233,7 @@ class Slam:
             try:
                 odometry = odometry_from_msg(msg)
                 self._localizer.predict(odometry)
-                self._moves = max(abs(odometry.twist.v), abs(odometry.twist.omega)) > _STANDS
+                self._rest.move(odometry.twist)
                 self._odometry_problem = ""
             except SensorDataError as exc:
                 self._odometry_problem = str(exc)
@@ -251,18 +253,13 @@ class Slam:
         with self._lock:
             self._scanned_at = rospy.get_time()
             stamp = msg.header.stamp.to_sec()
-            if not self._rests(stamp):
-                self._worked_at = stamp
+            self._left_out = msg
+            if self._odometry_problem or not self._rest.leaves_out(stamp):
                 self._work(msg)
         self._answer(stamp)
 
-    def _rests(self, stamp: float) -> bool:
-        """Whether a scan may be left alone."""
-        if self._moves or self._has_goal or self._odometry_problem:
-            return False
-        return 0.0 <= stamp - self._worked_at < _REST_PERIOD_S - 1e-3
-
     def _work(self, msg: LaserScanMsg) -> None:
+        self._left_out = None
         try:
             scan = scan_from_msg(msg)
             estimate = self._localize(scan)
@@ -271,6 +268,7 @@ class Slam:
             self._diagnostics.set(ERROR, str(exc))
         else:
             if estimate is not None:
+                self._rest.worked(scan.stamp)
                 self._publish_pose(estimate)
                 self._map(scan, estimate)
 

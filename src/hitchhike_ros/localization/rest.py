@@ -1,0 +1,44 @@
+"""When a scan may be left alone: of a robot that stands and has nowhere to go, whose pose is known and stays so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hitchhike_ros.datatypes import Positive, Twist2D
+
+# A robot stands when it is slower than this, in m/s and rad/s (chosen).
+_STANDS = 1e-3
+
+
+@dataclass
+class Rest:
+    """Steps: what odometry says, whether there is a goal, and which scans gave a pose.
+
+    The first scan after the robot has stopped is worked on, and then one in ``period_s`` (chosen: nobody waits longer
+    than a second for a pose).
+    """
+
+    period_s: Positive = 0.5
+    has_goal: bool = True
+    _stands: bool = False
+    _settled: bool = False  # a scan of the robot as it stands gave a pose
+    _worked_at: float = -math.inf
+
+    def wake(self) -> None:
+        """Something is new: the next scan counts."""
+        self._settled = False
+
+    def move(self, twist: Twist2D) -> None:
+        """The newest odometry."""
+        self._stands = max(abs(twist.v), abs(twist.omega)) <= _STANDS
+        self._settled = self._settled and self._stands
+
+    def worked(self, stamp: float) -> None:
+        """A scan gave a pose."""
+        self._settled, self._worked_at = self._stands, stamp
+
+    def leaves_out(self, stamp: float) -> bool:
+        """Whether a scan of this time may be left alone; not after time jumped back."""
+        rests = self._settled and not self.has_goal
+        return rests and 0.0 <= stamp - self._worked_at < self.period_s - 1e-3
