@@ -14,6 +14,7 @@ Samples are interpolated in simulated time. Nodes that look on, such as the reco
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -64,13 +65,17 @@ class ModuleCost:
 
 @dataclass(frozen=True)
 class Stretch:
-    """What a robot's nodes used between two simulated times in which it went so many metres."""
+    """What a robot's nodes used between two simulated times in which it went so many metres.
+
+    ``idle_s`` is what :data:`IDLE_NODE` used meanwhile, CPU seconds: what simulated time costs a node.
+    """
 
     name: str
     begin: float
     end: float
     metres: float
     modules: tuple[ModuleCost, ...]
+    idle_s: float | None = None
 
     @property
     def seconds(self) -> float:
@@ -83,6 +88,13 @@ class Stretch:
     @property
     def cpu_s_per_metre(self) -> float | None:
         return self.total.cpu_s / self.metres if self.metres > 0.0 and self.modules else None
+
+    @property
+    def work_s_per_metre(self) -> float | None:
+        """What the nodes used beyond that, as on a robot, where no time is simulated."""
+        if self.idle_s is None or not self.metres > 0.0 or not self.modules:
+            return None
+        return sum(max(0.0, cost.cpu_s - self.idle_s) for cost in self.modules) / self.metres
 
     def module(self, name: str) -> ModuleCost | None:
         """What one module used."""
@@ -101,6 +113,11 @@ class Comparison:
     def ratio(self) -> float | None:
         """CPU per metre as a rider by that alone."""
         return _by(self.rider.cpu_s_per_metre, self.alone.cpu_s_per_metre)
+
+    @property
+    def work_ratio(self) -> float | None:
+        """The same without what simulated time costs on either side."""
+        return _by(self.rider.work_s_per_metre, self.alone.work_s_per_metre)
 
     def module_ratio(self, name: str) -> float | None:
         """The same of one module."""
@@ -130,7 +147,8 @@ def total(costs: Iterable[ModuleCost]) -> ModuleCost:
 def stretch(record: RideRecord, robot: str, name: str, window: Window) -> Stretch:
     """What ``robot`` used and how far it went."""
     modules = tuple(cost for cost in module_costs(record, window) if cost.robot == robot)
-    return Stretch(name, *window, metres_driven(record.robots[robot], window), modules)
+    metres = metres_driven(record.robots[robot], window)
+    return Stretch(name, *window, metres, modules, _idle(record, window))
 
 
 def ride_steps(record: RideRecord, ride: Ride) -> list[Stretch]:
@@ -216,6 +234,8 @@ def cost_figures(ridden: RideRecord, alone: RideRecord) -> list[Figure]:
         for side, part in zip(("rider", "alone"), sides, strict=True):
             figures.append(Figure(f"{key}_cpu_{side}", part.cpu_s_per_metre if part is not None else None, "s/m"))
         figures.append(Figure(f"{key}_cpu_ratio", comparison.ratio if comparison is not None else None, "", bound))
+        work = comparison.work_ratio if comparison is not None else None
+        figures.append(Figure(f"{key}_cpu_ratio_without_simulated_time", work, ""))
     own = found.get("ride")
     for name, key, scale in (("memory_peak", "peak_mb", 1.0), ("bytes_in", "bytes_in", 1e-6)):
         for side in ("rider", "alone"):
@@ -271,6 +291,14 @@ def _cpu(record: RideRecord, node: str, window: Window) -> tuple[float, float] |
         return None
     used = np.interp(window, [s.stamp for s in samples], [s.cpu_s for s in samples])
     return float(used[1] - used[0]), window[1] - window[0]
+
+
+def _idle(record: RideRecord, window: Window) -> float | None:
+    """CPU seconds of the idle node, which costs the same all the time; None where it was seen for less than half."""
+    stamps = [sample.stamp for sample in record.cpu if sample.node == IDLE_NODE] or [math.inf]
+    seen = _cpu(record, IDLE_NODE, (max(window[0], stamps[0]), min(window[1], stamps[-1])))
+    seconds = window[1] - window[0]
+    return None if seen is None or seen[1] < 0.5 * seconds else seen[0] / seen[1] * seconds
 
 
 def _cost(node: str, samples: Sequence[CpuSample], window: Window, record: RideRecord) -> ModuleCost | None:
