@@ -93,8 +93,8 @@ _LOG_PERIOD_S = 10.0
 
 
 class HitchhikeComm:
-    """Stores what arrives; a timer, and who wants something, step the traveller one at a time, and carry out what it
-    wants."""
+    """Stores what arrives; a timer, and network messages that want an answer, step the traveller and carry out what it
+    wants, one at a time under a lock."""
 
     def __init__(self) -> None:
         world = path_parameter("world")
@@ -217,7 +217,7 @@ class HitchhikeComm:
         with self._lock:
             self._observations = observations
 
-    # The one place that steps the machines: in turn with the clock, and at once when another robot wants something.
+    # Steps the machines, one step at a time: at the timer's turns, and at once for a message that wants an answer.
 
     def _step(self, _event: rospy.timer.TimerEvent | None = None) -> None:
         with self._steps:
