@@ -437,14 +437,14 @@ def test_a_lock_that_nobody_asked_for_is_denied_and_counted(state: DriverState) 
 
 @pytest.mark.parametrize("state", S)
 def test_the_modules_of_each_state(state: DriverState) -> None:
-    machine = driver_in(state).machine
+    machine = driver_in(state, ride_speed_mps=0.4).machine
     assert machine.modules == ModuleSwitches(VS=state is S.ALIGNING)
     assert (machine.servo is not None) == (state is S.ALIGNING)
     assert (machine.goal is not None) == (state in (S.NAVIGATING, S.ALIGNING, S.DRIVING))
     assert (machine.ride is not None) == (state in ENGAGED)
     params = machine.params
-    limit = params.ride_speed_mps if state in WITH_RIDER else params.cruise_speed_mps
-    assert machine.speed_limit_mps == limit
+    assert machine.speed_limit_mps == (0.4 if state in WITH_RIDER else params.cruise_speed_mps)
+    assert params.cruise_speed_mps != 0.4
 
 
 @pytest.mark.parametrize("state", S)
