@@ -366,6 +366,17 @@ def test_metres_are_credited_once() -> None:
     assert award.points == pytest.approx(8.2, abs=0.05)  # P17 Exp. 1
 
 
+def test_the_drivers_metres_are_not_rounded() -> None:
+    bench = driver_in(S.DRIVING, award_rate=0.4)
+    bench.ride(12.34)
+    assert bench.machine.ride.ridden_m == 12.34
+    bench.wait(bench.machine.params.update_period_s + 0.1)
+    assert {message.ridden_m for message in bench.take(Driver)} == {12.34}
+    bench.hear(Terminate)
+    (award,) = bench.take(Award)
+    assert (award.ride_m, award.points) == (12.34, pytest.approx(0.4 * 12.34))
+
+
 def test_noise_of_a_standing_robot_earns_nothing() -> None:
     bench = driver_in(S.DRIVING)
     rng = np.random.default_rng(1)
@@ -437,14 +448,14 @@ def test_a_lock_that_nobody_asked_for_is_denied_and_counted(state: DriverState) 
 
 @pytest.mark.parametrize("state", S)
 def test_the_modules_of_each_state(state: DriverState) -> None:
-    machine = driver_in(state).machine
+    machine = driver_in(state, ride_speed_mps=0.4).machine
     assert machine.modules == ModuleSwitches(VS=state is S.ALIGNING)
     assert (machine.servo is not None) == (state is S.ALIGNING)
     assert (machine.goal is not None) == (state in (S.NAVIGATING, S.ALIGNING, S.DRIVING))
     assert (machine.ride is not None) == (state in ENGAGED)
     params = machine.params
-    limit = params.ride_speed_mps if state in WITH_RIDER else params.cruise_speed_mps
-    assert machine.speed_limit_mps == limit
+    assert machine.speed_limit_mps == (0.4 if state in WITH_RIDER else params.cruise_speed_mps)
+    assert params.cruise_speed_mps != 0.4
 
 
 @pytest.mark.parametrize("state", S)

@@ -284,6 +284,31 @@ def test_the_drivers_speed_is_fed_forward_only_while_it_is_fresh_and_never_into_
     assert (bench.machine.state, bench.machine.servo.feed_forward_mps) == (S.COUPLING, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("speed", "told"), [(0.0, 0.0), (0.02, 0.0), (0.03, 0.05), (0.48, 0.5), (0.52, 0.5), (0.6, 0.6), (-0.06, -0.05)]
+)
+def test_its_modules_are_told_of_the_drivers_speed_in_steps(speed: float, told: float) -> None:
+    bench = rider_in(S.RIDING)
+    bench.hear(Driver, v=speed)
+    assert bench.machine.servo.feed_forward_mps == pytest.approx(told, abs=1e-12)
+
+
+@pytest.mark.parametrize(("ridden_m", "told_m"), [(0.0, 0.0), (0.99, 0.0), (1.0, 1.0), (12.34, 12.0), (20.4, 20.0)])
+def test_its_status_counts_whole_metres_and_the_machine_all(ridden_m: float, told_m: float) -> None:
+    bench = rider_in(S.RIDING)
+    bench.hear(Driver, ridden_m=ridden_m)
+    assert (bench.machine.ride.ridden_m, bench.machine.ridden_m) == (told_m, ridden_m)
+    assert bench.machine.ride.ride_m == messages()[Accept].ride_m
+
+
+def test_its_status_stays_the_same_where_the_driver_does_nearly() -> None:
+    bench, said = rider_in(S.RIDING), set()
+    for i in range(20):
+        bench.hear(Driver, v=0.5 + 0.02 * (-1) ** i, ridden_m=3.0 + 0.04 * i)
+        said.add((bench.machine.servo, bench.machine.ride))
+    assert len(said) == 1
+
+
 def test_a_driver_that_falls_silent_leaves_a_rough_pose_and_a_robot_that_goes_on_alone() -> None:
     bench, reason = rider_in(S.RIDING), "No message from the driver"
     at = Pose2D(12.0, 5.72, 0.1)

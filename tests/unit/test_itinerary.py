@@ -67,6 +67,17 @@ def test_full_ride_of_p17():
     assert plan.arrival_s == pytest.approx(20 + RULES.couple_s + 29 / 0.5 + RULES.decouple_s)
 
 
+@pytest.mark.parametrize("speed", [0.4, 0.6])
+@pytest.mark.parametrize(("length", "worth_s"), [(20, 28.0), (32, 60.0)])
+def test_a_ride_is_worth_the_wait_that_its_costs_say(speed: float, length: int, worth_s: float):
+    rules = RideRules(min_ride_m=10.0, max_wait_s=100.0, ride_speed_mps=speed)
+    asks = replace(request((0, 0), (length, 0), (0, 0)), solo_speed_mps=speed)
+    for wait_s, rides in ((worth_s - 0.5, 1), (worth_s + 1.0, 0)):
+        comes = driver("d", nodes((0, 0), (length, 0)), speed=speed, begin=wait_s)
+        plan = plan_itinerary(asks, [comes], parameters=ItineraryParameters(replace(rules, max_age_s=math.inf)))
+        assert len(plan.rides) == rides
+
+
 def test_decoupling_point_is_the_farthest_common_node():
     """P17 §3.1: the driver turns off before the goal is reached."""
     its_path, own_path = nodes((0, 0), (40, 0), (40, -30)), nodes((0, 0), (40, 0), (40, 10))

@@ -472,6 +472,27 @@ def test_others_are_known_where_they_say_they_are_as_long_as_they_speak() -> Non
     assert traveller.status(17.0).robots == ()
 
 
+def test_who_looks_for_no_robots_is_told_of_none_and_of_all_as_soon_as_it_looks() -> None:
+    world = World()
+    rider = world.rider
+
+    def looks() -> bool:
+        modules = rider.statuses[-1].modules
+        return modules.OBS or modules.MAP
+
+    world.run(1.0).run(until=lambda: not looks())
+    assert len(rider.statuses[-2].robots) == 1
+    begin = len(rider.statuses) - 1
+    world.run(until=looks)
+    ride = rider.statuses[begin:-1]
+    assert {status.state for status in ride} == {"riding", "settling"}
+    assert {status.robots for status in ride} == {()}
+    (driver,) = rider.statuses[-1].robots
+    assert distance(Pose2D(driver.x, driver.y), world.driver.pose) < 0.1
+    world.come_to_an_end()
+    assert world.completed
+
+
 def test_a_driver_that_falls_silent_on_a_ride_counts_as_waiting_where_it_was() -> None:
     world = World(passes=lambda now, _message: now < world.until)
     world.run(until=lambda: world.rider.pose.x > 10.0)

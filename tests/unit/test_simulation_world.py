@@ -2,9 +2,11 @@
 
 import math
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from simulated_room import PACKAGE, TINY, make_world, robot
 
 from hitchhike_ros.datatypes import LaserScan, Pose2D, Twist2D
@@ -54,6 +56,29 @@ def test_robots_drive_what_they_are_told(model: str, tmp_path: Path) -> None:
         assert odometry.stamp == pytest.approx(world.now)
         drift = math.hypot(odometry.pose.x - (after.x - 0.6), odometry.pose.y - (after.y - 2.0))
         assert 1e-4 < drift < 0.15
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_wheels_turn_about_their_joints(model: str, tmp_path: Path) -> None:
+    joints = {joint.get("name"): joint for joint in ElementTree.parse(PACKAGE / "urdf" / f"{model}.urdf").iter("joint")}
+    with make_world(tmp_path, {"r": robot(model, 2.0, 2.0, 0.7)}) as world:
+        body = world.robots["r"]
+        for twist, turned in ((Twist2D(), False), (Twist2D(0.3, 0.8), True)):
+            drive(world, twist, 1.3)
+            mounts, angles = body.wheel_mounts(), body.wheel_angles()
+            assert sorted(mounts) == ["wheel_left", "wheel_right"]
+            assert (min(np.abs(angles)) > 1.0) == turned
+            assert (abs(angles[1] - angles[0]) > 1.0) == turned
+            for side, angle in zip(("left", "right"), angles, strict=True):
+                joint = joints[f"wheel_{side}_joint"]
+                origin, axis = joint.find("origin"), joint.find("axis")
+                assert origin is not None
+                assert axis is not None
+                assert (origin.get("rpy"), axis.get("xyz")) == (None, "0 1 0")
+                expected = np.eye(4)
+                expected[:3, :3] = Rotation.from_euler("y", angle).as_matrix()
+                expected[:3, 3] = [float(value) for value in origin.get("xyz", "").split()]
+                assert mounts[f"wheel_{side}"] == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_robot_that_hears_nothing_stops(tmp_path: Path) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable
 
+import numpy as np
 import pytest
 from flat_world import P3DX
 from hypothesis import given
@@ -125,6 +128,66 @@ def test_a_long_pause_allows_no_leap() -> None:
     mux.step(0.0)
     mux.command("teleop", Twist2D(1.0, 0.0), 60.0)
     assert mux.step(60.0).v <= P3DX.max_acceleration_mps2 * PARAMS.max_period_s + 1e-12
+
+
+def spoken(mux: VelocityMux, turns: Iterable[float], commands: Iterable[tuple[float, Twist2D]] = ()) -> list[float]:
+    """When a node speaks whose timer has these turns, and to which navigation says these: in order, turns first."""
+    said = []
+    for now, twist in sorted([*((now, None) for now in turns), *commands], key=lambda event: event[0]):
+        if twist is not None:
+            mux.command("navigation", twist, now)
+        if twist is not None or mux.takes_turn(now):
+            mux.step(now)
+            said.append(now)
+    return said
+
+
+@given(st.lists(st.floats(0.01, 0.3), min_size=1, max_size=40))
+def test_it_is_never_silent_for_two_turns_while_it_drives(gaps: list[float]) -> None:
+    commands = list(itertools.accumulate(gaps, initial=1000.0))
+    end = commands[-1] + PARAMS.navigation_timeout_s  # until then navigation drives
+    turns = [now for now in (999.95 + 0.1 * i for i in range(200)) if now < end]
+    said = spoken(VelocityMux(PARAMS, P3DX), turns, [(now, FORWARD) for now in commands])
+    assert set(commands) <= set(said)  # each at once
+    assert max(np.diff([*said, end])) <= 0.2 + 1e-9
+
+
+def test_commands_in_time_with_the_turns_are_all_it_says() -> None:
+    turns, commands = 1000.0 + 0.1 * np.arange(100), 1000.03 + 0.1 * np.arange(100)
+    mux = VelocityMux(PARAMS, P3DX)
+    assert spoken(mux, turns, [(now, FORWARD) for now in commands]) == [turns[0], *commands]
+
+
+@pytest.mark.parametrize("rate", [10, 20])
+@pytest.mark.parametrize("late_s", [0.0, 0.004])
+def test_at_rest_it_speaks_once_a_second(rate: int, late_s: float) -> None:
+    rng = np.random.default_rng(7)
+    turns = [n / rate + late_s * rng.random() for n in range(1000 * rate)]
+    said = spoken(VelocityMux(PARAMS, P3DX), turns)
+    assert said[0] == turns[0]
+    assert np.diff(said) == pytest.approx(1.0, abs=late_s + 1e-9)
+
+
+def test_a_command_ends_the_rest_at_once_and_braking_is_told_at_each_turn() -> None:
+    mux = VelocityMux(PARAMS, P3DX)
+    turns = 100.0 + 0.1 * np.arange(100)
+    commands = [(102.34 + 0.1 * i, FORWARD) for i in range(11)]  # until 103.34
+    said = np.array(spoken(mux, turns, commands))
+    assert said[:3] == pytest.approx([100.0, 101.0, 102.0])
+    assert said[3] == commands[0][0]
+    assert said[(said > 103.35) & (said < 103.95)] == pytest.approx([103.5, 103.6, 103.7, 103.8, 103.9])
+    assert np.diff(said[said > 104.5]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("drives", [False, True])
+def test_after_time_has_jumped_back_it_speaks_at_its_next_turn(drives: bool) -> None:
+    mux = VelocityMux(PARAMS, P3DX)
+    spoken(mux, 100.0 + 0.1 * np.arange(20), [(101.88, FORWARD)] if drives else [])
+    assert mux.takes_turn(5.0)
+    mux.step(5.0)
+    assert not spoken(mux, [5.1, 5.2, 5.3]) or drives  # which brakes
+    assert mux.active is None
+    assert np.diff(spoken(mux, 7.0 + 0.1 * np.arange(100))) == pytest.approx(1.0)
 
 
 speeds = st.floats(-1e6, 1e6) | st.sampled_from([math.nan, math.inf, -math.inf, 0.0])

@@ -15,6 +15,10 @@ from hitchhike_ros.robot_model import RobotLimits
 Source = Literal["teleop", "servoing", "navigation"]
 SOURCES: tuple[Source, ...] = get_args(Source)  # most important first
 
+# A robot that stands, and that nobody drives, is told to stand so often. A timer's turn that comes this much early will
+# do, or the next one would be late (chosen).
+_REST_PERIOD_S, _EARLY_S = 1.0, 0.02
+
 
 @dataclass(frozen=True)
 class VelocityMuxParameters:
@@ -28,7 +32,10 @@ class VelocityMuxParameters:
 
 
 class VelocityMux:
-    """Keeps the newest command of each source; :meth:`step` gives what the base should do now."""
+    """Keeps the newest command of each source; :meth:`step` gives what the base should do now.
+
+    It is stepped on each command, and by a timer when that :meth:`takes_turn`.
+    """
 
     def __init__(self, params: VelocityMuxParameters, limits: RobotLimits) -> None:
         self._params, self._limits = params, limits
@@ -43,12 +50,14 @@ class VelocityMux:
         self.hands: Hands = "free"  # guided: obstacle avoidance takes up what teleop says
         self.refused: Counter[Source] = Counter()
         self._let_go = True  # of the keys, since the robot was last guided
+        self._commanded = False  # since the timer's last turn
 
     def command(self, source: Source, twist: Twist2D, now: float) -> bool:
         """Take a command; False when it is refused and counted because it is not finite.
 
         A refused command also ends the one before it: a source that talks nonsense does not drive.
         """
+        self._commanded = True
         if not twist.is_finite():
             self.refused[source] += 1
             self._commands.pop(source, None)
@@ -65,6 +74,15 @@ class VelocityMux:
             self._let_go = True
         if twist != Twist2D() and self.hands != "free":
             self._let_go = False
+
+    def takes_turn(self, now: float) -> bool:
+        """Whether the timer steps the mux at its turn at ``now`` in s, to be asked once a turn.
+
+        Not where a command did since its last turn, and once a second while nobody drives and the robot stands.
+        """
+        commanded, self._commanded = self._commanded, False
+        rests = self.active is None and self._output == Twist2D()
+        return not commanded and not (rests and 0.0 <= now - self._stepped_at < _REST_PERIOD_S - _EARLY_S)
 
     def step(self, now: float) -> Twist2D:
         """The command at ``now`` in s; towards a stand when no source is fresh, as after time jumped back."""

@@ -68,6 +68,7 @@ from hitchhike_ros.protocol.machine import (
 )
 from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, NewObstacles, encode
 from hitchhike_ros.protocol.observations import Observations, decode_observations
+from hitchhike_ros.protocol.pace import Pace
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import Status, encode_status
 from hitchhike_ros.protocol.traveller import Traveller
@@ -92,8 +93,8 @@ _LOG_PERIOD_S = 10.0
 
 
 class HitchhikeComm:
-    """Stores what arrives; a timer, and who wants something, step the traveller one at a time, and carry out what it
-    wants."""
+    """Stores what arrives; a timer, and network messages that want an answer, step the traveller and carry out what it
+    wants, one at a time under a lock."""
 
     def __init__(self) -> None:
         world = path_parameter("world")
@@ -123,7 +124,7 @@ class HitchhikeComm:
         self._fed_back: PoseEstimate | None = None
         self._observations = Observations()
         self._published: Status | None = None
-        self._passed = False  # the step before was left out
+        self._pace = Pace()
         self._logged: dict[str, float] = {}
         self._diagnostics = Diagnostics("hitchhike_comm")
 
@@ -216,7 +217,7 @@ class HitchhikeComm:
         with self._lock:
             self._observations = observations
 
-    # The one place that steps the machines: in turn with the clock, and at once when another robot wants something.
+    # Steps the machines, one step at a time: at the timer's turns, and at once for a message that wants an answer.
 
     def _step(self, _event: rospy.timer.TimerEvent | None = None) -> None:
         with self._steps:
@@ -224,8 +225,7 @@ class HitchhikeComm:
 
     def _step_once(self, now: float) -> None:
         with self._lock:
-            self._passed = not self._passed and self._quiet()
-            if self._passed:
+            if self._pace.leaves_out(self._published, self._observations.following, bool(self._events)):
                 return
             events, self._events = list(self._events), deque()
             estimate, observations, situation = self._estimate, self._observations, self._situation
@@ -253,14 +253,6 @@ class HitchhikeComm:
                 self._move_base.feed_back(estimate.pose, estimate.stamp)
             if (outcome := self._traveller.outcome) is not None:
                 self._move_base.finish(*outcome)
-
-    def _quiet(self) -> bool:
-        """Whether nothing has happened, and the robot rides or has nothing to do: then every other step is left out."""
-        status = self._published
-        if status is None or self._events:
-            return False
-        follows = status.state == "riding" and self._observations.following == "following"
-        return follows or (status.goal is None and status.servo is None)
 
     def _carry_out(self, effect: Effect, now: float) -> None:
         if isinstance(effect, Send):

@@ -18,23 +18,19 @@ TF: none.
 
 from __future__ import annotations
 
-import math
 import threading
 
 import rospy
 from geometry_msgs.msg import Twist
 
 from hitchhike_ros.control.velocity_mux import SOURCES, Source, VelocityMux, VelocityMuxParameters
-from hitchhike_ros.datatypes import Positive, Twist2D
+from hitchhike_ros.datatypes import Positive
 from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.ros_io.conversions import twist_from_msg, twist_to_msg
 from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, StatusListener, run
 from hitchhike_ros.ros_io.parameters import node_parameters
-
-# A robot that stands, and that nobody drives, is told to stand so often (chosen).
-_REST_PERIOD_S = 1.0
 
 
 class VelocityMuxNode:
@@ -46,8 +42,6 @@ class VelocityMuxNode:
         )
         rate = convert(rospy.get_param("~rate", 10.0), Positive, rospy.get_name(), "~rate")
         self._lock = threading.Lock()
-        self._commanded = False  # since the timer's last turn
-        self._published, self._published_at = Twist2D(), -math.inf
         self._senseless: set[Source] = set()  # sources whose newest command was refused
         self._diagnostics = Diagnostics("velocity_mux")
         self._output = rospy.Publisher("cmd_vel", Twist, queue_size=1, tcp_nodelay=True)
@@ -61,7 +55,6 @@ class VelocityMuxNode:
 
     def _on_command(self, msg: Twist, source: Source) -> None:
         with self._lock:
-            self._commanded = True
             if self._mux.command(source, twist_from_msg(msg), rospy.get_time()):
                 self._senseless.discard(source)
             else:
@@ -75,17 +68,13 @@ class VelocityMuxNode:
 
     def _on_timer(self, _event: rospy.timer.TimerEvent) -> None:
         with self._lock:
-            due, self._commanded = not self._commanded, False
-            rests = self._mux.active is None and self._published == Twist2D()
-            due = due and not (rests and 0.0 <= rospy.get_time() - self._published_at < _REST_PERIOD_S)
+            due = self._mux.takes_turn(rospy.get_time())
         if due:
             self._step()
 
     def _step(self) -> None:
         with self._lock:
-            self._published_at = rospy.get_time()
-            self._published = self._mux.step(self._published_at)
-            self._output.publish(twist_to_msg(self._published))
+            self._output.publish(twist_to_msg(self._mux.step(rospy.get_time())))
             refused = {f"refused_{source}": count for source, count in self._mux.refused.items()}
             values = {"active": self._mux.active or "", **refused}
             if self._senseless:

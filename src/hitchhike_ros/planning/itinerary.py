@@ -42,7 +42,7 @@ _EQUAL = 1e-9  # costs that differ by less are equal
 class ItineraryCosts:
     """What an itinerary costs, in seconds of a later arrival. All chosen, so that the papers' rides pay.
 
-    At 0.6 m/s alone and 0.5 m/s together a ride of 20 m is worth a wait of 24 s, and one of 35 m a wait of 60 s.
+    Where a pair is as fast as one alone, a ride of 20 m is worth a wait of 28 s, and one of 32 m a wait of 60 s.
     """
 
     arrival_per_s: NonNegative = 1.0

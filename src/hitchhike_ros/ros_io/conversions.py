@@ -35,7 +35,8 @@ _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 
 def to_stamp(seconds: float) -> rospy.Time:
     """To the nearest nanosecond: a clock whose ticks are one short makes timers miss every fourth of them."""
-    return rospy.Time(*divmod(round(seconds * 1e9), 10**9))
+    whole = math.floor(seconds)  # apart, as nanoseconds since 1970 are more than a float can count
+    return rospy.Time(whole, round((seconds - whole) * 1e9))
 
 
 def header(stamp: float, frame_id: str) -> Header:

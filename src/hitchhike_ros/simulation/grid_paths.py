@@ -85,14 +85,14 @@ class GridPaths:
         return path
 
     def metres(self, start: Point, goal: Point, known: Known = ()) -> float:
-        """Length of the path from cell to cell, to within a cell; infinite where there is none."""
+        """Length of the path from cell to cell, to within 3 cells and mostly 1; infinite where there is none."""
         return float(self.all_metres(np.array([start]), np.array([goal]), known)[0, 0])
 
     def all_metres(self, sources: FloatArray, targets: FloatArray, known: Known = ()) -> FloatArray:
         """As :meth:`metres`, (A, B) from each of the sources (A, 2) to each of the targets (B, 2).
 
-        A path tells how far it is from each of its cells, and to within a cell from those beside, so most answers are
-        there already.
+        A path tells how far it is from each of its cells, and nearly from those beside, so most answers are there
+        already.
         """
         found = np.full((len(sources), len(targets)), np.inf)
         rows, columns = np.floor((sources - self._origin) / self._resolution + 1e-9).astype(int).T[::-1]
@@ -160,6 +160,8 @@ class GridPaths:
 
     def _metres_from(self, cell: Cell, search: _Search, known: Known) -> float:
         """What no path has told yet; from a cell where a robot may not be, by the way out."""
+        if not math.isnan(told := search.metres[cell]):
+            return float(told)  # by the path from a source before this one
         if (beside := search.metres_beside(cell)) is not None:
             return beside
         cost, out = self._cost(known), cell
