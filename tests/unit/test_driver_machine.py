@@ -128,6 +128,18 @@ def test_a_hitchhiker_that_begins_anew_ends_the_old_ride(state: DriverState) -> 
     assert (bench.machine.state, bench.machine.offer.ride_id) == (S.OFFERING, "ride-2")
 
 
+def test_an_acceptance_is_repeated_until_it_is_taken_though_nobody_asks_again() -> None:
+    bench = driver_in(S.NAVIGATING)
+    bench.hear(Request)
+    bench.wait(2.1)
+    offers = bench.take(Accept)
+    assert len(offers) == 5  # at once, and every half second
+    assert {(offer.to, offer.ride_id, offer.ride_m) for offer in offers} == {("turtlebot", "ride", offers[0].ride_m)}
+    bench.hear(Lock)
+    bench.wait(2.0)
+    assert not bench.take(Accept)
+
+
 def test_a_lost_acceptance_is_sent_again_but_only_until_the_lock() -> None:
     bench = driver_in(S.OFFERING)
     bench.hear(Request)

@@ -135,6 +135,7 @@ class DriverMachine(Machine[DriverState]):
         Row((S.DRIVING, S.WAITING_FOR_RIDER), Request, "_asked_again", (S.OFFERING, S.NAVIGATING)),
         Row((S.DECOUPLING,), Request, "_asked_again", (S.OFFERING, S.NAVIGATING, S.WAITING_FOR_RIDER)),
         Row((S.NAVIGATING,), Lock, "_take_lock", (S.ALIGNING,)),
+        Row((S.OFFERING,), Tick, "_repeat_accept"),
         Row((S.OFFERING,), Lock, "_align", (S.ALIGNING,)),
         Row((S.ALIGNING, S.ALIGNED), Lock, "_confirm_lock"),
         Row((S.IDLE, *WITH_RIDER), Lock, "_refuse_lock"),
@@ -316,7 +317,7 @@ class DriverMachine(Machine[DriverState]):
         self._last_words = [(due, word) for due, word in self._last_words if word.ride_id != offer.ride_id]
         self._report(f"Offering {offer.hitchhiker} a ride of {offer.ride_m:.1f} m")
         self._go(S.OFFERING)
-        self._accept(request, offer)
+        self._repeat_accept()
 
     def _asked_again(self, request: Request) -> None:
         """A request while engaged: the acceptance was lost, the hitchhiker has begun anew, or it is another one."""
@@ -330,7 +331,12 @@ class DriverMachine(Machine[DriverState]):
             answer = self._consider if self.state is S.NAVIGATING else self._ask_to_join
             answer(request)
         elif self.state is S.OFFERING:
-            self._accept(request, rider.offer)
+            self._accept(rider.offer)
+
+    def _repeat_accept(self, _tick: Tick | None = None) -> None:
+        rider = self._convoy.first
+        if rider is not None and self._every(self.params.repeat_period_s, "accept"):
+            self._accept(rider.offer)
 
     def _take_lock(self, lock: Lock) -> None:
         """A hitchhiker that was offered a ride from afar says where they meet (P18 §4)."""
@@ -569,7 +575,7 @@ class DriverMachine(Machine[DriverState]):
         length = math.fsum(math.dist(a[:2], b[:2]) for a, b in pairwise(waypoints))
         offer = Offer(request.robot_id, request.ride_id, _NOWHERE, length, Pose2D(*waypoints[-1][:2]))
         self._promise(offer)
-        self._accept(request, offer, waypoints)
+        self._accept(offer, waypoints)
 
     def _on_the_way(self, request: Request) -> bool:
         """Whether it comes by a place from where its way is the hitchhiker's too; a question is repeated, not this."""
@@ -594,7 +600,7 @@ class DriverMachine(Machine[DriverState]):
             self._deny(request, offer)
             return
         self._promise(offer)
-        self._accept(request, offer)
+        self._accept(offer)
 
     def _promise(self, offer: Offer) -> None:
         """The offer holds until the hitchhiker has heard all others; it binds nobody."""
@@ -606,7 +612,7 @@ class DriverMachine(Machine[DriverState]):
         until, offer = self._offered.get((lock.robot_id, lock.ride_id), (-math.inf, None))
         return offer if until >= self._now else None
 
-    def _accept(self, request: Request, offer: Offer, path: tuple[Waypoint, ...] = ()) -> None:
+    def _accept(self, offer: Offer, path: tuple[Waypoint, ...] = ()) -> None:
         estimate = self.situation.estimate
         pose = estimate.pose if estimate is not None else offer.point.aligning_pose
         riders = tuple(self._convoy)
@@ -615,8 +621,8 @@ class DriverMachine(Machine[DriverState]):
         self._send(
             Accept(
                 robot_id=self.robot_id,
-                to=request.robot_id,
-                ride_id=request.ride_id,
+                to=offer.hitchhiker,
+                ride_id=offer.ride_id,
                 x=pose.x,
                 y=pose.y,
                 theta=pose.theta,
