@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -192,3 +193,10 @@ def test_a_run_is_animated(tmp_path: Path) -> None:
     assert [frame.time for frame in recorder.frames] == [0.0, 1.0, 2.0, 3.0]
     animate(tmp_path / "run.gif", world, recorder.frames[:2])
     assert (tmp_path / "run.gif").read_bytes()[:6] == b"GIF89a"
+
+
+@pytest.mark.parametrize("profiles", list(permutations(range(3))))
+def test_with_a_network_the_best_profile_drives_however_far_it_is(profiles: tuple[int, ...]) -> None:
+    """P18 Table 1, the rows in which D1 is the nearest and D3 the farthest."""
+    outcome = run(Job(str(MAPS), "profiles", "network", places=(0, 1, 2), profiles=profiles))
+    assert outcome.driver == DRIVERS[profiles[0]]

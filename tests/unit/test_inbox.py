@@ -9,7 +9,7 @@ from protocol_helpers import DRIVER, RIDER, messages
 
 from hitchhike_ros.errors import MessageError
 from hitchhike_ros.protocol.inbox import Inbox
-from hitchhike_ros.protocol.messages import Lock, Message, encode
+from hitchhike_ros.protocol.messages import Beacon, Lock, Message, encode
 
 LOCK = replace(messages(RIDER, DRIVER)[Lock], seq=5, time_stamp=100.0)
 
@@ -46,6 +46,18 @@ def test_replayed_and_overtaken_messages_are_dropped_and_counted(changes: dict[s
     _receive(inbox, {})
     with pytest.raises(MessageError, match=f"of {RIDER} is not newer"):
         _receive(inbox, changes)
+    assert inbox.dropped == {"replayed": 1}
+
+
+def test_a_beacon_overtakes_no_question_and_no_question_a_beacon() -> None:
+    inbox, beacon = Inbox(DRIVER), messages(RIDER, DRIVER)[Beacon]
+    for seq, time_stamp in ((6, 100.0), (9, 101.0)):
+        assert isinstance(inbox.receive(encode(replace(beacon, seq=seq, time_stamp=time_stamp))), Beacon)
+    assert _receive(inbox, {})[0] is not None
+    assert _receive(inbox, {"seq": 12, "time_stamp": 102.0})[0] is not None
+    assert inbox.receive(encode(replace(beacon, seq=11, time_stamp=101.5))) is not None
+    with pytest.raises(MessageError):
+        inbox.receive(encode(replace(beacon, seq=10, time_stamp=101.2)))
     assert inbox.dropped == {"replayed": 1}
 
 

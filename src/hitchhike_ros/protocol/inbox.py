@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 
 from hitchhike_ros.errors import MessageError
-from hitchhike_ros.protocol.messages import EVERYBODY, MapMessage, Message, decode
+from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, MapMessage, Message, decode
 
 # So many of its own messages a robot knows again when they come back to it (chosen).
 _OWN = 1000
@@ -17,8 +17,9 @@ class Inbox:
     def __init__(self, robot_id: str) -> None:
         self.dropped: Counter[str] = Counter()
         self._robot_id = robot_id
-        # Time first: a robot that restarts counts from anew.
-        self._newest: dict[str, tuple[float, int]] = {}
+        # Of each sender's beacons, and of all else that it says: a beacon tells where a robot is, and overtakes nothing
+        # that is asked or answered. Time first: a robot that restarts counts from anew.
+        self._newest: dict[tuple[str, bool], tuple[float, int]] = {}
         self._own: deque[tuple[float, int]] = deque(maxlen=_OWN)
 
     def sent(self, message: Message) -> None:
@@ -51,11 +52,12 @@ class Inbox:
             return None
         if message.to not in (self._robot_id, EVERYBODY):
             return None
-        if message.robot_id in self._newest and order <= self._newest[message.robot_id]:
+        stream = message.robot_id, isinstance(message, Beacon)
+        if stream in self._newest and order <= self._newest[stream]:
             self.dropped["replayed"] += 1
             raise MessageError(
                 f"{message.type}: seq {message.seq} at {message.time_stamp} of {message.robot_id} "
                 f"is not newer than its last"
             )
-        self._newest[message.robot_id] = order
+        self._newest[stream] = order
         return message

@@ -135,16 +135,22 @@ class _Objects:
     def __init__(self) -> None:
         self.dropped: Counter[str] = Counter()
         self._newest: dict[str, tuple[float, int]] = {}
+        self._newest_beacon: dict[str, tuple[float, int]] = {}
 
     def receive(self, message: Message) -> Message | None:
-        return message if self.is_new(message.robot_id, (message.time_stamp, message.seq)) else None
+        """Of all but beacons."""
+        return message if self._is_new(self._newest, message.robot_id, (message.time_stamp, message.seq)) else None
 
     def is_new(self, sender: str, order: tuple[float, int]) -> bool:
-        newest = self._newest.get(sender)
+        """Whether a beacon is."""
+        return self._is_new(self._newest_beacon, sender, order)
+
+    def _is_new(self, known: dict[str, tuple[float, int]], sender: str, order: tuple[float, int]) -> bool:
+        newest = known.get(sender)
         if newest is not None and order <= newest:
             self.dropped["replayed"] += 1
             return False
-        self._newest[sender] = order
+        known[sender] = order
         return True
 
 
