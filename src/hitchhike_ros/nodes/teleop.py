@@ -49,6 +49,8 @@ from hitchhike_ros.ros_io.conversions import twist_to_msg
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, StatusListener, run
 from hitchhike_ros.ros_io.parameters import node_parameters
 
+# A tick of the clock that is early by so little is in time.
+_EARLY_S = 0.001
 _LOOK_S = 0.02  # wall time: how long a key may wait
 _ACTIVE_PERIOD_S = 0.5
 _DRAW_PERIOD_S = 0.2  # wall time
@@ -133,9 +135,9 @@ class TeleopNode:
     def _speak(self, now: float) -> None:
         twist, taken = self._teleop.step(now), self._teleop.taken
         since = now - self._said_at
-        if twist is not None and (twist != self._said or not 0.0 <= since < self._period_s):
+        if twist is not None and (twist != self._said or not 0.0 <= since < self._period_s - _EARLY_S):
             self._commands.publish(twist_to_msg(twist))
-            in_time = twist == self._said and self._period_s <= since < 2.0 * self._period_s
+            in_time = twist == self._said and self._period_s - _EARLY_S <= since < 2.0 * self._period_s
             self._said_at = self._said_at + self._period_s if in_time else now
         self._said = twist
         if taken != self._was_taken or (taken and not 0.0 <= now - self._active_at < _ACTIVE_PERIOD_S):
