@@ -56,6 +56,15 @@ def test_one_ride() -> None:
     assert ride.handover_deg == pytest.approx(np.degrees(0.05))
 
 
+def test_a_driver_that_pulls_away_a_tick_before_its_hitchhiker_says_that_it_rides() -> None:
+    record = synthetic_ride()
+    robot = record.robots["turtlebot"]
+    pulls_away = next(s.time_stamp for s in record.robots["p3dx"].statuses if s.state == "driving")
+    robot.statuses = [replace(s, time_stamp=pulls_away + 0.1) if s.time_stamp == RIDING else s for s in robot.statuses]
+    (ride,) = network_rides(record, MARKERS)
+    assert ride.driver_waited_s == pytest.approx(1.2)
+
+
 def test_a_convoy_where_one_moves_up() -> None:
     first, last = network_rides(convoy(), MARKERS)
     assert (first.hitchhiker, last.hitchhiker, last.points) == ("turtlebot", "last", (7.6,))

@@ -139,13 +139,18 @@ def _spans(statuses: Sequence[Status], end: float) -> Iterator[tuple[float, floa
 
 
 def _stood(statuses: Sequence[Status], riding_at: float) -> float | None:
-    """For how long the driver that was coupled to at ``riding_at`` stood aligned."""
-    aligned: float | None = None
+    """For how long the driver that was coupled to at ``riding_at`` stood aligned.
+
+    Whether it pulls away before or after that is not asked: robots' stamps may be a tick of the clock apart.
+    """
+    stood, aligned = None, None
     for status in statuses:
-        if status.state == "driving" and aligned is not None and status.time_stamp >= riding_at:
-            return status.time_stamp - aligned
-        if status.state == "aligned":
-            aligned = status.time_stamp if aligned is None else aligned
-        elif status.time_stamp < riding_at:
+        if status.state == "aligned" and aligned is None:
+            if status.time_stamp >= riding_at:
+                return stood
+            stood, aligned = None, status.time_stamp
+        elif status.state == "driving" and aligned is not None:
+            stood, aligned = status.time_stamp - aligned, None
+        elif status.state != "aligned":
             aligned = None
-    return None
+    return stood
