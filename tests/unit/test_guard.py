@@ -81,14 +81,14 @@ def test_an_old_scan_or_one_that_cannot_be_read_lets_everything_pass():
     st.floats(0.05, 0.7),
     st.floats(-3.0, 3.0),
 )
-def test_what_is_taken_for_out_of_reach_would_have_passed(discs, v, omega):
+def test_what_is_taken_for_beside_the_way_would_have_passed(discs, v, omega):
     quick, whole = guard(*discs), guard(*discs)
-    whole._nearest_m = 0.0  # as if something were near, so that everything is computed
+    whole._apart_m = math.inf  # as if something were in the way, so that everything is computed
     assert quick.limit(0.0, Twist2D(v, omega)) == whole.limit(0.0, Twist2D(v, omega))
 
 
-def test_while_nothing_is_near_no_field_of_distances_is_computed():
-    g = guard((1.1, 0.0, 0.2), (0.0, 1.0, 0.1), (0.0, -1.0, 0.1))
+def test_while_nothing_is_in_the_way_no_field_of_distances_is_computed():
+    g = guard((1.1, 0.0, 0.2), (0.3, 0.6, 0.1), (0.3, -0.6, 0.1))
     assert g.limit(0.1, Twist2D(0.5)) == (Twist2D(0.5), False)
     assert g._field is None
     g.see(scan((0.55, 0.0, 0.1)))

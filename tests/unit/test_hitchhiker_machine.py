@@ -42,7 +42,7 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
-from hitchhike_ros.protocol.status import ModuleSwitches
+from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches
 
 S = HitchhikerState
 LOCKED = (S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING)
@@ -139,6 +139,22 @@ def test_one_that_is_not_in_line_turns_while_the_driver_aligns(wall: Side | None
     assert (way.x, way.y, way.theta, way.along_wall) == (own.x, own.y, WEST.waiting_pose.theta, wall)
     bench.hear(Aligned)
     assert bench.machine.way is None
+
+
+def test_one_that_has_turned_into_line_rests() -> None:
+    bench = rider_in(S.LOCKING)
+    bench.pose = replace(WEST.waiting_pose, theta=2.0)
+    bench.wait()
+    bench.hear(Ack, of=Lock.type)
+    order = bench.machine.way.id
+
+    def way_after(state: str) -> GoalCommand | None:
+        bench.step(Tick(replace(bench.situation(), navigation=NavigationReport(order, state))))
+        return bench.machine.way
+
+    assert way_after("driving") is not None
+    assert way_after("arrived") is None
+    assert (bench.machine.state, way_after("idle")) == (S.AWAITING_ALIGNED, None)
 
 
 def test_one_that_is_in_line_already_stands() -> None:

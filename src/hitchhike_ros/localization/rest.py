@@ -19,7 +19,7 @@ class Rest:
     than a second for a pose).
     """
 
-    period_s: Positive = 0.5
+    period_s: Positive = 0.8
     has_goal: bool = True
     _stands: bool = False
     _settled: bool = False  # a scan of the robot as it stands gave a pose

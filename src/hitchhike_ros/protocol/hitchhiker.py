@@ -349,7 +349,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._go(S.AWAITING_ALIGNED)
 
     def _approach(self, _tick: Tick) -> None:
-        """To where it meets its driver from afar; now and then it says when it will be there."""
+        """To where it meets its driver from afar; now and then it says when it will be there. There, and in line, it
+        rests."""
+        if self._arrived():
+            self._way = None
         if self.meeting is None:
             return
         if not self._sent_off and self.ready_in_s <= 0.0 and self.situation.estimate is not None:
@@ -735,11 +738,12 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _in_place(self) -> bool:
         """Whether it stands where it meets its driver."""
-        report = self.situation.navigation
-        arrived = (
-            report is not None and self._way is not None and (report.goal_id, report.state) == (self._way.id, "arrived")
-        )
-        return self._sent_off and (self._way is None or arrived)
+        return self._sent_off and (self._way is None or self._arrived())
+
+    def _arrived(self) -> bool:
+        """Whether it is where it was to drive to by itself."""
+        report, way = self.situation.navigation, self._way
+        return report is not None and way is not None and (report.goal_id, report.state) == (way.id, "arrived")
 
     def _why_not_meet(self) -> str | None:
         """Why the ride that was arranged comes to nothing; None while it may still come about."""

@@ -20,11 +20,11 @@ class Inbox:
         # Of each sender's beacons, and of all else that it says: a beacon tells where a robot is, and overtakes nothing
         # that is asked or answered. Time first: a robot that restarts counts from anew.
         self._newest: dict[tuple[str, bool], tuple[float, int]] = {}
-        self._own: deque[tuple[float, int]] = deque(maxlen=_OWN)
+        self._own: deque[tuple[float, int]] = deque(maxlen=_OWN)  # the newest first, as it is what comes back
 
     def sent(self, message: Message) -> None:
         """The robot has sent this; from then on what comes in its name and is none of its own is noticed."""
-        self._own.append((message.time_stamp, message.seq))
+        self._own.appendleft((message.time_stamp, message.seq))
 
     def receive(self, text: str) -> Message | None:
         """The message, or None where it is the robot's own, meant for another, or of the transfer of a map.

@@ -37,15 +37,14 @@ class Guard:
             max_yaw_acceleration_rps2=_BRAKING * limits.max_yaw_acceleration_rps2,
         )
         self._footprint = Footprint(limits)
-        self._body_m = limits.circumscribed_m + math.hypot(T_base_laser.x, T_base_laser.y)
+        self._apart_m = limits.circumscribed_m + _MARGIN_M + _GRID_M
         self._scan: LaserScan | None = None
-        self._nearest_m = math.inf  # of the newest scan's beams, from the laser
-        self._field: ClearanceField | None = None  # of the newest scan, once that is needed
+        self._points: FloatArray | None = None  # (N, 2) of the newest scan in the base frame, once they are needed,
+        self._field: ClearanceField | None = None  # and how far from them everything is
 
     def see(self, scan: LaserScan) -> None:
         """The newest scan; one that cannot be used counts as none."""
-        self._scan, self._field = scan, None
-        self._nearest_m = float(np.fmin.reduce(scan.ranges, initial=math.inf))
+        self._scan, self._points, self._field = scan, None, None
 
     def limit(self, now: float, twist: Twist2D) -> tuple[Twist2D, bool]:
         """``twist`` scaled down until the robot can brake before contact, and whether that was needed.
@@ -54,33 +53,35 @@ class Guard:
         """
         if self._scan is None or not now - self._scan.stamp <= _MAX_AGE_S or twist == Twist2D():
             return twist, False
-        if self._nearest_m > self._reach_m(twist):
+        points = self._scanned()
+        if points is None or self._is_beside(points, twist):
             return twist, False
-        field = self._clearances()
-        if field is None:
-            return twist, False
-        clearance = float(field.clearance(self._footprint, np.zeros(3)))
+        if self._field is None:
+            self._field = ClearanceField(points)
+        clearance = float(self._field.clearance(self._footprint, np.zeros(3)))
         floor = min(_MARGIN_M, clearance - 0.005)
         velocity = np.array([twist.v, twist.omega])
-        share = next((share for share in _SHARES if self._stops_clear(field, share * velocity, floor)), 0.0)
+        share = next((share for share in _SHARES if self._stops_clear(self._field, share * velocity, floor)), 0.0)
         return Twist2D(share * twist.v, share * twist.omega), share < 1.0
 
-    def _reach_m(self, twist: Twist2D) -> float:
-        """What is farther from the laser than this stays clear until the robot stands, whichever way it goes: as a rule
-        that is everything, and nothing more is to be computed."""
-        travel = abs(twist.v) * _REACTION_S + twist.v**2 / (2.0 * self._braking.max_acceleration_mps2)
-        return self._body_m + _MARGIN_M + _GRID_M + travel
-
-    def _clearances(self) -> ClearanceField | None:
-        """Of the newest scan; None where it cannot be used."""
-        if self._field is None and self._scan is not None:
+    def _scanned(self) -> FloatArray | None:
+        """Points of the newest scan; None where it cannot be used."""
+        if self._points is None and self._scan is not None:
             try:
-                points = scan_points(self._scan, _MAX_NAN_FRACTION)
+                self._points = transform_points(self._T_base_laser, scan_points(self._scan, _MAX_NAN_FRACTION))
             except SensorDataError:
                 self._scan = None
-                return None
-            self._field = ClearanceField(transform_points(self._T_base_laser, points))
-        return self._field
+        return self._points
+
+    def _is_beside(self, points: FloatArray, twist: Twist2D) -> bool:
+        """Whether all is farther from where the robot may be until it stands than it is wide, whichever way it turns:
+        as a rule it is, and nothing more is to be computed."""
+        braking = self._braking
+        travel = abs(twist.v) * _REACTION_S + twist.v**2 / (2.0 * braking.max_acceleration_mps2)
+        turn = abs(twist.omega) * _REACTION_S + twist.omega**2 / (2.0 * braking.max_yaw_acceleration_rps2)
+        x, y = math.copysign(1.0, twist.v) * points[:, 0], points[:, 1]
+        off = x - np.minimum(np.maximum(x, 0.0), travel)  # past the ends of the straight way, which it may leave aside
+        return float((off * off + y * y).min(initial=math.inf)) > (self._apart_m + travel * min(turn, 1.0)) ** 2
 
     def _stops_clear(self, field: ClearanceField, velocity: FloatArray, floor: float) -> bool:
         """Whether a robot that drives at ``velocity`` (2,) can brake to a stand and stay ``floor`` m clear."""
