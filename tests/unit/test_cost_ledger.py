@@ -23,7 +23,14 @@ from hitchhike_ros.experiments.cost_ledger import (
 from hitchhike_ros.experiments.cost_tables import comparison_table, ledger_table, steps_table
 from hitchhike_ros.experiments.figures import Figure
 from hitchhike_ros.experiments.ride_figures import find_ride
-from hitchhike_ros.experiments.ride_record import ClockSample, CpuSample, RideRecord, RobotRecord, TimedPose
+from hitchhike_ros.experiments.ride_record import (
+    ClockSample,
+    CpuSample,
+    RideRecord,
+    RobotRecord,
+    TimedPose,
+    TrafficSample,
+)
 from hitchhike_ros.protocol.driver import ARRIVED
 from hitchhike_ros.protocol.status import Status
 
@@ -34,14 +41,18 @@ KB = 1000
 
 
 def _samples(node: str, steps: list[tuple[float, float]], peak_mb: float) -> list[CpuSample]:
-    """CPU samples where each step is (until, share of a core from the step before); a message of 1 kB each 0.1 s in."""
+    """CPU samples where each step is (until, share of a core from the step before)."""
     samples, used, before = [CpuSample(0.0, 0.0, node, 0.0, peak_mb, peak_mb)], 0.0, 0.0
     for until, share in steps:
         used += share * (until - before)
         before = until
-        messages = round(10 * until)
-        samples.append(CpuSample(until, until, node, used, peak_mb, peak_mb + until, messages, KB * messages, 7, 70))
+        samples.append(CpuSample(until, until, node, used, peak_mb, peak_mb + until))
     return samples
+
+
+def _traffic(node: str, *stamps: float) -> list[TrafficSample]:
+    """A message of 1 kB each 0.1 s in."""
+    return [TrafficSample(t, node, round(10 * t), KB * round(10 * t), 7, 70) for t in stamps]
 
 
 @pytest.fixture
@@ -56,6 +67,7 @@ def ridden() -> RideRecord:
         *_samples("/idle", idle, 40.0),
         *_samples("/record", idle, 40.0),
     ]
+    record.traffic = _traffic("/turtlebot/slam", 0.0, 22.0, 90.0)
     return record
 
 
@@ -91,6 +103,19 @@ def test_costs_are_interpolated_between_samples(ridden: RideRecord) -> None:
     assert slam.messages_in == pytest.approx(100.0, abs=1.0)
     assert slam.bytes_in == pytest.approx(100.0 * KB, rel=0.01)
     assert slam.peak_mb == 100.0 + RIDING
+
+
+def test_what_was_not_seen_of_a_node_is_taken_to_be_as_the_rest_unless_that_is_more(ridden: RideRecord) -> None:
+    def cpu_s(since: float) -> list[float]:
+        ridden.cpu = [
+            CpuSample(since, since, "/turtlebot/slam", 3.0, 1.0),
+            CpuSample(50.0, 50.0, "/turtlebot/slam", 5.0, 1.0),
+        ]
+        return [cost.cpu_s for cost in module_costs(ridden, (20.0, 40.0))]
+
+    assert cpu_s(20.0) == pytest.approx([20.0 * 2.0 / 30.0])
+    assert cpu_s(25.0) == pytest.approx([20.0 * 2.0 / 25.0])
+    assert cpu_s(31.0) == []
 
 
 def test_who_belongs_to_no_robot_is_not_added_to_one(ridden: RideRecord) -> None:

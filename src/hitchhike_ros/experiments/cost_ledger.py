@@ -9,12 +9,12 @@ asks for none and drives to its goal by itself. Everything counts that the hitch
     riding        without what comes before and after: ``riding`` to ``decoupling``, and alone between the same places
     whole run     from being given its goal until it is there, in both runs, by the metres of each
 
-Samples are interpolated in simulated time. Nodes that look on, such as the recorder, are nobody's cost.
+Samples are interpolated in simulated time, and what was seen of a node stands for the part of the time in which it was
+not yet. Nodes that look on, such as the recorder, are nobody's cost.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,7 +24,7 @@ import numpy as np
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.experiments.figures import Figure
 from hitchhike_ros.experiments.ride_figures import Ride, find_ride, metres_driven, poses_at
-from hitchhike_ros.experiments.ride_record import CpuSample, RideRecord, RobotRecord
+from hitchhike_ros.experiments.ride_record import CpuSample, RideRecord, RobotRecord, TrafficSample
 from hitchhike_ros.geometry import distance
 from hitchhike_ros.protocol.status import ModuleSwitches
 
@@ -132,7 +132,10 @@ def module_costs(record: RideRecord, window: Window) -> list[ModuleCost]:
     samples: dict[str, list[CpuSample]] = {}
     for sample in record.cpu:
         samples.setdefault(sample.node, []).append(sample)
-    costs = [_cost(node, of_node, window, record) for node, of_node in sorted(samples.items())]
+    traffic: dict[str, list[TrafficSample]] = {}
+    for counted in record.traffic:
+        traffic.setdefault(counted.node, []).append(counted)
+    costs = [_cost(node, of_node, traffic.get(node, []), window, record) for node, of_node in sorted(samples.items())]
     return [cost for cost in costs if cost is not None]
 
 
@@ -295,23 +298,41 @@ def _cpu(record: RideRecord, node: str, window: Window) -> tuple[float, float] |
 
 def _idle(record: RideRecord, window: Window) -> float | None:
     """CPU seconds of the idle node, which costs the same all the time; None where it was seen for less than half."""
-    stamps = [sample.stamp for sample in record.cpu if sample.node == IDLE_NODE] or [math.inf]
-    seen = _cpu(record, IDLE_NODE, (max(window[0], stamps[0]), min(window[1], stamps[-1])))
-    seconds = window[1] - window[0]
-    return None if seen is None or seen[1] < 0.5 * seconds else seen[0] / seen[1] * seconds
+    used = _between([(sample.stamp, sample.cpu_s) for sample in record.cpu if sample.node == IDLE_NODE], window)
+    return None if used is None else used[0]
 
 
-def _cost(node: str, samples: Sequence[CpuSample], window: Window, record: RideRecord) -> ModuleCost | None:
-    stamps = [s.stamp for s in samples]
-    if stamps[-1] <= window[0] or stamps[0] >= window[1]:
+def _cost(
+    node: str,
+    samples: Sequence[CpuSample],
+    traffic: Sequence[TrafficSample],
+    window: Window,
+    record: RideRecord,
+) -> ModuleCost | None:
+    """None where the node was seen for less than half of the time."""
+    cpu = _between([(s.stamp, s.cpu_s) for s in samples], window)
+    if cpu is None:
         return None
-    columns = np.array([(s.cpu_s, s.messages_in, s.bytes_in, s.messages_out, s.bytes_out) for s in samples], float)
-    used = [float(np.diff(np.interp(window, stamps, column))[0]) for column in columns.T]
+    counts = [(t.stamp, t.messages_in, t.bytes_in, t.messages_out, t.bytes_out) for t in traffic]
+    passed = _between(counts, window) or (0.0,) * 4
     # The memory of the first sample after the end holds for it.
     until = [s.peak_mb for s in samples if s.stamp <= window[1]] or [samples[0].peak_mb]
     robot, _, module = node.strip("/").rpartition("/")
     robot = robot if robot in record.robots else ""
-    return ModuleCost(robot, module if robot else node.strip("/"), used[0], max(until), *used[1:])
+    return ModuleCost(robot, module if robot else node.strip("/"), cpu[0], max(until), *passed)
+
+
+def _between(sums: Sequence[tuple[float, ...]], window: Window) -> tuple[float, ...] | None:
+    """What running sums, rows of a stamp and numbers, grow by between two times; None where the rows reach over less
+    than half of it. Before the first and after the last they are taken to grow as between."""
+    if not sums:
+        return None
+    stamps, *columns = np.array(sums, float).T
+    begin, end = max(window[0], stamps[0]), min(window[1], stamps[-1])
+    if not end - begin >= 0.5 * (window[1] - window[0]) > 0.0:
+        return None
+    share = (window[1] - window[0]) / (end - begin)
+    return tuple(share * float(np.diff(np.interp((begin, end), stamps, column))[0]) for column in columns)
 
 
 def _numbers(cost: ModuleCost) -> tuple[float, ...]:

@@ -69,8 +69,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class CpuSample:
-    """CPU time a node's process has used since it started, its resident memory now and at most so far, and what has
-    gone through its connections but to the nodes that only watch."""
+    """CPU time a node's process has used since it started, its resident memory now and at most so far."""
 
     stamp: float
     wall_s: float
@@ -78,6 +77,14 @@ class CpuSample:
     cpu_s: float
     memory_mb: float
     peak_mb: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrafficSample:
+    """What has gone through a node's connections since it started, but to the nodes that only watch."""
+
+    stamp: float
+    node: str
     messages_in: int = 0
     bytes_in: int = 0
     messages_out: int = 0
@@ -141,6 +148,7 @@ class RideRecord:
     messages: list[TimedText] = field(default_factory=list)
     contacts: list[Contact] = field(default_factory=list)
     cpu: list[CpuSample] = field(default_factory=list)
+    traffic: list[TrafficSample] = field(default_factory=list)
     clock: list[ClockSample] = field(default_factory=list)
     simulator: dict[str, str] = field(default_factory=dict)  # its newest diagnostics
 

@@ -66,6 +66,7 @@ from hitchhike_ros.experiments.ride_record import (
     TimedEstimate,
     TimedPose,
     TimedText,
+    TrafficSample,
     save_record,
 )
 from hitchhike_ros.experiments.ride_report import (
@@ -92,8 +93,10 @@ from hitchhike_ros.ros_io.processes import NodeProcesses
 from hitchhike_ros.simulation.world_file import RobotEntry, WorldFile, load_world
 
 _PERIOD_S = 0.2
-_CLOCK_PERIOD_S = 1.0
-_DISCOVERY_PERIOD_S = 3.0
+_CPU_PERIOD_S = 0.4
+_DISCOVERY_PERIOD_S = 1.0
+# Seldom, as to be asked costs a node time.
+_TRAFFIC_PERIOD_S = 4.0
 # They only look on: what is sent to them is no cost of a robot's.
 _WATCHERS = ("/ride_monitor", "/record", "/rviz")
 # The real-time factor that is shown is that of so many seconds past.
@@ -135,7 +138,7 @@ class RideMonitor:
         robots = {name: _robot_record(entry, package) for name, entry in self._world.robots.items()}
         self._record = RideRecord(scenario_name(self._world), seed, self._world.boxes, robots)
         self._lock = threading.Lock()
-        self._sample_due = False
+        self._traffic_due = False
         self._unreadable = 0
         self._shown = ""
         self._processes = NodeProcesses(_WATCHERS)
@@ -152,6 +155,7 @@ class RideMonitor:
         started = time.monotonic()
         reason = self._watch(started + self._params.deadline_s)
         self._sample_cpu()
+        self._sample_traffic()
         with self._lock:
             ride = find_ride(self._record)
             step = progress(self._record, ride, None).step
@@ -168,22 +172,22 @@ class RideMonitor:
 
     def _watch(self, deadline: float) -> str:
         """Until the ride is over; why it ended early, or nothing."""
-        next_clock = next_discovery = 0.0
+        next_cpu = next_discovery = next_traffic = 0.0
         while not rospy.is_shutdown():
             wall = time.monotonic()
             try:
                 if wall >= next_discovery:
                     next_discovery = wall + _DISCOVERY_PERIOD_S
                     self._processes.discover()
-                    self._sample_due = True
             except (OSError, rosgraph.MasterException) as exc:
                 return f"the ROS master does not answer ({exc})"
-            if self._sample_due:
+            if wall >= next_cpu:
+                next_cpu = wall + _CPU_PERIOD_S
                 self._sample_cpu()
+            if self._traffic_due or wall >= next_traffic:
+                next_traffic = wall + _TRAFFIC_PERIOD_S
+                self._sample_traffic()
             with self._lock:
-                if wall >= next_clock and rospy.get_time() > 0.0:
-                    next_clock = wall + _CLOCK_PERIOD_S
-                    self._sample_clock(time.monotonic())
                 self._show()
                 frames = self._frames_due()
                 active = [robot for robot in self._record.robots.values() if robot.has_goal]
@@ -221,19 +225,22 @@ class RideMonitor:
         told = driver.ride if driver is not None else None
         return told.ridden_m if told is not None else 0.0
 
-    def _sample_clock(self, wall: float) -> None:
-        self._record.clock.append(ClockSample(rospy.get_time(), wall))
+    # Samples are taken without the lock, as nodes may take their time to answer; callbacks touch none of the lists.
 
     def _sample_cpu(self) -> None:
-        """Without the lock, for nodes may take their time to answer; the callbacks do not touch these lists."""
-        self._sample_due = False
         if rospy.get_time() <= 0.0:
             return
-        self._sample_clock(time.monotonic())
+        self._record.clock.append(ClockSample(rospy.get_time(), time.monotonic()))
         for use in self._processes.use():
-            stamp, wall, traffic = rospy.get_time(), time.monotonic(), astuple(use.traffic)
-            sample = CpuSample(stamp, wall, use.node, use.cpu_s, use.memory_mb, use.peak_mb, *traffic)
-            self._record.cpu.append(sample)
+            stamp, wall = rospy.get_time(), time.monotonic()
+            self._record.cpu.append(CpuSample(stamp, wall, use.node, use.cpu_s, use.memory_mb, use.peak_mb))
+
+    def _sample_traffic(self) -> None:
+        self._traffic_due = False
+        if rospy.get_time() <= 0.0:
+            return
+        for node, traffic in self._processes.traffic().items():
+            self._record.traffic.append(TrafficSample(rospy.get_time(), node, *astuple(traffic)))
 
     def _show(self) -> None:
         clock = self._record.clock
@@ -316,7 +323,8 @@ class RideMonitor:
         robot.initial_poses.append(TimedEstimate.of(estimate_from_msg(msg)))
 
     def _on_status(self, msg: String, robot: RobotRecord) -> None:
-        self._sample_due |= robot.add_status(decode_status(msg.data))
+        # Where modules are switched, connections end, and what went through them is soon forgotten.
+        self._traffic_due |= robot.add_status(decode_status(msg.data))
 
     def _on_award(self, msg: String, robot: RobotRecord) -> None:
         robot.awards.append(msgspec.json.decode(msg.data, type=Award))

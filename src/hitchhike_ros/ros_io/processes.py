@@ -41,13 +41,12 @@ class Traffic:
 
 @dataclass(frozen=True)
 class ProcessUse:
-    """CPU seconds since a node's process started, its resident memory now and at most, and its traffic."""
+    """CPU seconds since a node's process started, and its resident memory now and at most."""
 
     node: str
     cpu_s: float
     memory_mb: float
     peak_mb: float
-    traffic: Traffic
 
 
 class TrafficCounter:
@@ -122,16 +121,22 @@ class NodeProcesses:
         return len(self._processes) > before
 
     def use(self) -> list[ProcessUse]:
-        """What every known process that still runs has used. Each node is asked, which may take its time."""
+        """What every known process that still runs has used. The nodes themselves notice nothing of it."""
         uses = []
         for name, process in sorted(self._processes.items()):
             try:
                 times, memory, peak_mb = process.cpu_times(), process.memory_info(), _peak_mb(process.pid)
             except (psutil.NoSuchProcess, psutil.AccessDenied, OSError):
                 continue
-            traffic = self._traffic_of(name)
-            uses.append(ProcessUse(name, times.user + times.system, memory.rss / 2**20, peak_mb, traffic))
+            uses.append(ProcessUse(name, times.user + times.system, memory.rss / 2**20, peak_mb))
         return uses
+
+    def traffic(self) -> dict[str, Traffic]:
+        """What went through the connections of every known node; as it was when it last answered, where it does not.
+
+        Each is asked, which may take its time and costs the node a few milliseconds.
+        """
+        return {name: self._traffic_of(name) for name in sorted(self._uris)}
 
     def gone(self) -> list[str]:
         """Known nodes whose process has ended."""
@@ -151,7 +156,6 @@ class NodeProcesses:
         return process
 
     def _traffic_of(self, node: str) -> Traffic:
-        """The node's traffic so far; as it was when it last answered, where it does not."""
         uri, counter = self._uris[node], self._traffic[node]
         with contextlib.suppress(*_UNREACHABLE):
             counter.update(_ask(uri, "getBusStats"), lambda: _ask(uri, "getBusInfo"))
