@@ -69,6 +69,15 @@ def test_it_says_what_was_measured_beside_the_paper(tmp_path: Path) -> None:
     assert "<people>" not in text
 
 
+def test_what_a_ride_saves_stands_in_the_summary_beside_the_papers_figures(tmp_path: Path) -> None:
+    good = result(tmp_path)
+    (run,) = good.runs
+    saved = (Figure("ride_cpu_ratio", 0.37, "", 0.4), Figure("riding_cpu_ratio", 0.26, ""))
+    summary = report(tmp_path, replace(good, runs=(replace(run, figures=FIGURES + saved),))).partition("</section>")[0]
+    assert "0.37" in summary and "≤ 0.4" in summary and "5.4" in summary
+    assert "0.26" not in summary and "gap error" not in summary
+
+
 def test_a_run_that_failed_says_why_even_without_a_record(tmp_path: Path) -> None:
     text = report(tmp_path, result(tmp_path, "node /p3dx/slam died & <gone>", record=False))
     assert "node /p3dx/slam died &amp; &lt;gone&gt;" in text

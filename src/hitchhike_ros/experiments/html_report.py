@@ -96,7 +96,8 @@ class _RunView:
 
 @dataclass(frozen=True)
 class _Row:
-    """One figure of a scenario: texts, and whether its bound holds."""
+    """One figure of a scenario: texts, whether its bound holds, and whether it stands in the summary: what a paper has
+    too, and the shares that say what a ride saves."""
 
     name: str
     peer: str
@@ -106,6 +107,7 @@ class _Row:
     bound: str
     ok: bool | None
     seeds: tuple[str, ...]
+    in_summary: bool
 
 
 @dataclass(frozen=True)
@@ -122,9 +124,9 @@ class _Experiment:
     command: str
 
     @property
-    def compared(self) -> list[_Row]:
-        """Those that a paper has too."""
-        return [row for row in self.rows if row.peer]
+    def summary(self) -> list[_Row]:
+        """What is to be seen first."""
+        return [row for row in self.rows if row.in_summary]
 
 
 def write_report(
@@ -212,6 +214,7 @@ def _row(summary: Summary, runs: Sequence[RunResult]) -> _Row:
         bound(summary),
         summary.ok,
         tuple(seeds),
+        summary.peer is not None or (summary.bound is not None and summary.name.endswith("_ratio")),
     )
 
 
