@@ -16,6 +16,8 @@ import numpy as np
 import rospkg
 import rospy
 import rostest
+import tf2_ros
+from nav_msgs.msg import Odometry
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import Watch, credits_of_this_run
@@ -43,10 +45,22 @@ class RideTest(unittest.TestCase):
     watch: Watch
     ride: dict[str, Any]
     said: str
+    seen_riding: list[tuple[float, float]]  # by who looks at TF while it rides: how old it is, s, and how far off, m
 
     @classmethod
     def setUpClass(cls) -> None:
         cls.watch = Watch("p3dx", "turtlebot")
+        cls.seen_riding, frames = [], tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(frames)
+
+        def look(truth: Odometry) -> None:
+            if cls.watch.state("turtlebot") == "riding":
+                seen = frames.lookup_transform("map", "turtlebot/base_footprint", rospy.Time())
+                age_s = (truth.header.stamp - seen.header.stamp).to_sec()
+                there, here = seen.transform.translation, truth.pose.pose.position
+                cls.seen_riding.append((age_s, math.hypot(there.x - here.x, there.y - here.y)))
+
+        cls.watch.subscribe("/turtlebot/ground_truth", Odometry, look)
         with tempfile.TemporaryDirectory() as folder:
             command = ["rosrun", "hitchhike_ros", "ride_monitor", "__name:=ride_monitor"]
             command += [f"_world:={rospy.get_param('~world')}", f"_output:={folder}"]
@@ -54,6 +68,7 @@ class RideTest(unittest.TestCase):
             cls.said = done.stdout + done.stderr
             assert done.returncode == 0, cls.said
             cls.ride = json.loads((Path(folder) / "ride.json").read_text(encoding="utf-8"))
+        listener.unregister()
 
     def figure(self, name: str) -> Any:
         return next(figure["value"] for figure in self.ride["figures"] if figure["name"] == name)
@@ -95,6 +110,14 @@ class RideTest(unittest.TestCase):
         for status in self.watch.statuses["p3dx"]:
             if status.state != "aligning":
                 self.assertEqual(ON, status.modules, status.state)
+
+    def test_who_looks_on_sees_the_hitchhiker_ride(self) -> None:
+        """Its localization is off; its wheels go on from where it was coupled, a tenth of the way off at most."""
+        ages, errors = zip(*self.seen_riding[20:], strict=True)
+        self.assertGreater(len(ages), 200)
+        print(f"TF of a rider: {max(ages):.2f} s old and {max(errors):.2f} m off at most")
+        self.assertLessEqual(max(ages), 1.0)
+        self.assertLessEqual(max(errors), 0.1 * self.figure("ride"))
 
     def test_modules_that_are_off_cost_nothing(self) -> None:
         costs = {cost["node"]: cost["phases"]["riding"] for cost in self.ride["cpu"] if "riding" in cost["phases"]}

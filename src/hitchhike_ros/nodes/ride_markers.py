@@ -158,7 +158,9 @@ def _of_robot(robot: _Robot, now: float) -> Iterator[Marker]:
             ends = [Point(0.0, 0.0, _BOX_HEIGHT_M), Point(seen.pose.x, seen.pose.y, _BOX_HEIGHT_M)]
             yield _marker(frame, "gap", Marker.LINE_LIST, _BLUE, Vector3(_LINE_M, 0.0, 0.0), points=ends)
             away = (seen.pose.x**2 + seen.pose.y**2) ** 0.5
-            yield _text(frame, "gap", _BLUE, seen.pose.x / 2, 0.5, _BOX_HEIGHT_M, f"{away:.2f} m to {seen.marker_id}")
+            yield _text(
+                frame, "gap", _BLUE, seen.pose.x / 2, 0.5, _BOX_HEIGHT_M, f"{away:.2f} m to marker {seen.marker_id}"
+            )
 
 
 def _text(frame: str, namespace: str, colour: ColorRGBA, x: float, y: float, z: float, text: str) -> Marker:

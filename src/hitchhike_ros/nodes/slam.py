@@ -28,13 +28,15 @@ Parameters:
     ~initial_cov_xx, ~initial_cov_yy (m², 0.25), ~initial_cov_aa (rad², 0.0685): its covariance, as of amcl
     ~always_on (bool, false): both modules on without anyone's status
     ~map_timeout_s (s of wall time, 60): how long static_map is awaited
-TF: map -> odom, for each pose.
+TF: map -> odom, for each pose. While localization is off the last one is repeated, valid until it is repeated again:
+    who looks on sees the robot go on by its wheels.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from typing import get_args
 
 import msgspec
@@ -92,6 +94,8 @@ _SILENCE_S = 0.3
 _WATCH_PERIOD_S = 0.1
 # The map is large and boxes grow with every scan: it is not published more often (chosen).
 _MAP_PERIOD_S = 1.0
+# How often the last map -> odom is repeated while localization is off (chosen: that costs next to nothing).
+_REPEAT_PERIOD_S = 1.0
 
 
 class Slam:
@@ -123,7 +127,8 @@ class Slam:
         self._scanned_at = 0.0
         self._rest = Rest()
         self._left_out: LaserScanMsg | None = None  # the newest scan, where it was not worked on
-        self._timer: rospy.Timer | None = None
+        self._timer: rospy.Timer | None = None  # looks whether scans come or, off, repeats map -> odom
+        self._T_map_odom: Transform | None = None  # the last that was published
 
         self._poses = rospy.Publisher("amcl_pose", PoseWithCovarianceStamped, queue_size=1, tcp_nodelay=True)
         self._particles = rospy.Publisher("particlecloud", PoseArray, queue_size=1)
@@ -174,15 +179,18 @@ class Slam:
                 self._odometry_problem, self._scanned_at, self._left_out = "", rospy.get_time(), None
                 self._rest.wake()
                 self._start()
-                self._timer = rospy.Timer(rospy.Duration(_WATCH_PERIOD_S), self._watch, reset=True)
+                self._every(_WATCH_PERIOD_S, self._watch)
                 return
-            if self._timer is not None:
-                self._timer.shutdown()
-                self._timer = None
+            self._every(_REPEAT_PERIOD_S, self._repeat)
             if self._localizer is not None and self._localizer.initialised:
                 self._pending = self._localizer.estimate
             self._localizer = None
             self._diagnostics.set(OK, "off")
+
+    def _every(self, period_s: float, callback: Callable[[rospy.timer.TimerEvent], None]) -> None:
+        if self._timer is not None:
+            self._timer.shutdown()
+        self._timer = rospy.Timer(rospy.Duration(period_s), callback, reset=True)
 
     def _start(self) -> None:
         """Give the filter the pose that is known otherwise."""
@@ -315,8 +323,16 @@ class Slam:
             self._particles.publish(PoseArray(header(estimate.stamp, "map"), poses))
         T_map_odom = compose(estimate.pose, inverse(self._localizer.odometry_at(estimate.stamp)))
         rotation: Quaternion = quaternion_from_yaw(T_map_odom.theta)
-        transform = Transform(Vector3(T_map_odom.x, T_map_odom.y, 0.0), rotation)
-        self._transforms.sendTransform(TransformStamped(header(estimate.stamp, "map"), self._odom_frame, transform))
+        self._T_map_odom = Transform(Vector3(T_map_odom.x, T_map_odom.y, 0.0), rotation)
+        self._send_transform(estimate.stamp)
+
+    def _repeat(self, _event: rospy.timer.TimerEvent) -> None:
+        with self._lock:
+            if self._localizer is None and self._T_map_odom is not None:
+                self._send_transform(rospy.get_time() + _REPEAT_PERIOD_S)
+
+    def _send_transform(self, stamp: float) -> None:
+        self._transforms.sendTransform(TransformStamped(header(stamp, "map"), self._odom_frame, self._T_map_odom))
 
     def _publish_map(self, now: float) -> None:
         self._mapped, self._mapped_at = self._mapper.obstacles, now
