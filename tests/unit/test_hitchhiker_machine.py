@@ -23,7 +23,7 @@ from protocol_helpers import (
 
 from hitchhike_ros.datatypes import Pose2D, PoseEstimate, Side
 from hitchhike_ros.errors import TransitionError
-from hitchhike_ros.geometry import compose, distance, wrap_angle
+from hitchhike_ros.geometry import between, compose, distance, wrap_angle
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.hitchhiker import BEFORE_RIDE, COUPLED, RETURNING, HitchhikerState
 from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, NavigationReport, TakeObstacles, TakePose, Tick
@@ -347,6 +347,21 @@ def test_a_driver_that_falls_silent_leaves_a_rough_pose_and_a_robot_that_goes_on
     bench.clear()
     bench.hear(Decouple)
     assert [type(m) for m in bench.take(Message)] == [Terminate]  # nothing was handed over, so nothing is acknowledged
+
+
+def test_where_the_driver_was_left_is_as_right_as_the_own_pose() -> None:
+    """It drives past it: from a rough pose, 9 cm off, it touched it."""
+    bench = rider_in(S.RIDING)
+    bench.hear(Driver, x=12.0, y=5.72, theta=0.1)
+    bench.clear()
+    while bench.machine.state is S.RIDING:
+        bench.wait()
+    rough, left_at = bench.take(TakePose)[0].estimate.pose, bench.machine.left_at
+    own = compose(rough, Pose2D(-0.09, 0.02, 0.01))
+    _localized(bench, own)
+    assert bench.machine.state is S.PARTING
+    before, after = between(rough, left_at), between(own, bench.machine.left_at)
+    assert (after.x, after.y, after.theta) == pytest.approx((before.x, before.y, before.theta))
 
 
 # A driver out of sight: seek it, localize, catch up, couple anew; or go on alone.

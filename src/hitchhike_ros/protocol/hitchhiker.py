@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from hitchhike_ros.datatypes import HitchhikingPoint, MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.geometry import compose, distance, inverse, wrap_angle
+from hitchhike_ros.geometry import between, compose, distance, inverse, wrap_angle
 from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 from hitchhike_ros.localization.handover import handover
 from hitchhike_ros.mapping.sites import Sites
@@ -494,6 +494,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _watch_localization(self, _tick: Tick) -> None:
         if self._located():
+            taken, estimate = self._settled_pose, self.situation.estimate
+            if taken is not None and estimate is not None and self.left_at is not None:  # it stands as it did
+                self.left_at = compose(estimate.pose, between(taken.pose, self.left_at))
             end = self._finish if self._taken_over or self.goal is None else self._part
             end(self.reason)
 
