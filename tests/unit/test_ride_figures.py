@@ -114,6 +114,18 @@ def test_the_ride_is_the_one_that_was_coupled_and_its_wait_counts_from_the_first
     )
 
 
+def test_where_another_left_before_the_nearer_decoupling_counts_although_it_is_stamped_later(
+    record: RideRecord,
+) -> None:
+    driver, hitchhiker = record.robots["p3dx"], record.robots["turtlebot"]
+    settled_at = next(s.time_stamp for s in hitchhiker.statuses if s.state == "settling")
+    own = next(i for i, s in enumerate(driver.statuses) if s.state == "decoupling")
+    of_both = replace(driver.statuses[own], time_stamp=50.0, convoy=("other", "turtlebot"))
+    driver.statuses[own : own + 1] = [of_both, replace(driver.statuses[own], time_stamp=settled_at + 0.1)]
+    ride = find_ride(record)
+    assert ride is not None and ride.decoupling_at == settled_at + 0.1
+
+
 def test_before_coupling_the_ride_knows_the_steps_so_far(record: RideRecord) -> None:
     hitchhiker = record.robots["turtlebot"]
     hitchhiker.statuses = [s for s in hitchhiker.statuses if s.time_stamp < RIDING]

@@ -206,10 +206,12 @@ def _ride_of(record: RideRecord, hitchhiker: str, asked_at: float, statuses: Seq
 
 
 def _decoupling(driven: Sequence[Status], settled_at: float | None) -> float | None:
-    """When the driver began to hand over to the one that settled; in a convoy others may have left before."""
+    """When the driver began to hand over to the one that settled; in a convoy others may have left before.
+
+    Which of the two is stamped first is not asked: robots' stamps may be a tick of the clock apart.
+    """
     began = [s.time_stamp for s in driven if s.state == "decoupling"]
-    before = [stamp for stamp in began if settled_at is not None and stamp <= settled_at]
-    return before[-1] if before else next(iter(began), None)
+    return min(began, key=lambda stamp: abs(stamp - settled_at) if settled_at is not None else stamp, default=None)
 
 
 def ride_figures(record: RideRecord) -> list[Figure]:
