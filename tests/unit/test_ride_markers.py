@@ -37,7 +37,7 @@ def test_the_line_goes_to_the_marker_that_is_followed_while_it_is_seen() -> None
     lines = [m for m in _of_robot(robot, 5.2) if m.ns == "gap" and m.type == Marker.LINE_LIST]
     assert [(p.x, p.y) for p in lines[0].points] == [(0.0, 0.0), (0.6, 0.8)]
     assert len(lines) == 1
-    assert _texts(robot, 5.2)[1:] == ["1.00 m to 0"]
+    assert _texts(robot, 5.2)[1:] == ["1.00 m to marker 0"]
     assert _texts(robot, 6.5)[1:] == []
 
 
