@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import msgspec
 import pytest
 from synthetic_ride import CAMERA, DECOUPLING, MARKER, RELEASED, REQUESTED, RIDING, SPEED, synthetic_ride
 
@@ -115,6 +116,7 @@ def test_what_was_not_seen_of_a_node_is_taken_to_be_as_the_rest_unless_that_is_m
 
     assert cpu_s(20.0) == pytest.approx([20.0 * 2.0 / 30.0])
     assert cpu_s(25.0) == pytest.approx([20.0 * 2.0 / 25.0])
+    msgspec.json.encode(module_costs(ridden, (20.0, 40.0)))  # it is kept as JSON: none of NumPy's numbers
     assert cpu_s(31.0) == []
 
 

@@ -332,7 +332,7 @@ def _between(sums: Sequence[tuple[float, ...]], window: Window) -> tuple[float, 
     if not end - begin >= 0.5 * (window[1] - window[0]) > 0.0:
         return None
     share = (window[1] - window[0]) / (end - begin)
-    return tuple(share * float(np.diff(np.interp((begin, end), stamps, column))[0]) for column in columns)
+    return tuple(float(share * np.diff(np.interp((begin, end), stamps, column))[0]) for column in columns)
 
 
 def _numbers(cost: ModuleCost) -> tuple[float, ...]:
