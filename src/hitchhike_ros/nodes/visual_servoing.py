@@ -113,7 +113,7 @@ class VisualServoingParameters:
     """It follows steadily when it is no farther off its gap than this (chosen)"""
     steady_speed_mps: Positive = 0.25
     """and drives at least so fast: starting and stopping takes every image (chosen)"""
-    steady_yaw_rate_rps: Positive = 0.25
+    steady_yaw_rate_rps: Positive = 0.15
     """and hardly turns (chosen)."""
 
 
