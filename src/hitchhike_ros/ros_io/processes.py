@@ -134,7 +134,7 @@ class NodeProcesses:
     def traffic(self) -> dict[str, Traffic]:
         """What went through the connections of every known node; as it was when it last answered, where it does not.
 
-        Each is asked, which may take its time and costs the node a few milliseconds.
+        Each is asked, which may take its time and costs the node some of its own.
         """
         return {name: self._traffic_of(name) for name in sorted(self._uris)}
 
