@@ -38,13 +38,16 @@ class Guard:
         )
         self._footprint = Footprint(limits)
         self._apart_m = limits.circumscribed_m + _MARGIN_M + _GRID_M
+        self._mount_m = math.hypot(T_base_laser.x, T_base_laser.y)
         self._scan: LaserScan | None = None
+        self._nearest_m = math.inf  # its shortest beam; NaN where one is
         self._points: FloatArray | None = None  # (N, 2) of the newest scan in the base frame, once they are needed,
         self._field: ClearanceField | None = None  # and how far from them everything is
 
     def see(self, scan: LaserScan) -> None:
         """The newest scan; one that cannot be used counts as none."""
         self._scan, self._points, self._field = scan, None, None
+        self._nearest_m = float(scan.ranges.min(initial=math.inf))
 
     def limit(self, now: float, twist: Twist2D) -> tuple[Twist2D, bool]:
         """``twist`` scaled down until the robot can brake before contact, and whether that was needed.
@@ -53,8 +56,11 @@ class Guard:
         """
         if self._scan is None or not now - self._scan.stamp <= _MAX_AGE_S or twist == Twist2D():
             return twist, False
+        travel, apart = self._way(twist)
+        if self._nearest_m > self._mount_m + travel + apart:  # as a rule, and nothing more is to be computed
+            return twist, False
         points = self._scanned()
-        if points is None or self._is_beside(points, twist):
+        if points is None or _are_beside(points, math.copysign(travel, twist.v), apart):
             return twist, False
         if self._field is None:
             self._field = ClearanceField(points)
@@ -73,15 +79,13 @@ class Guard:
                 self._scan = None
         return self._points
 
-    def _is_beside(self, points: FloatArray, twist: Twist2D) -> bool:
-        """Whether all is farther from where the robot may be until it stands than it is wide, whichever way it turns:
-        as a rule it is, and nothing more is to be computed."""
+    def _way(self, twist: Twist2D) -> tuple[float, float]:
+        """How far straight on the robot may come until it stands, and how near to that what it could touch is, m:
+        whichever way it turns, and however it leaves the straight way aside."""
         braking = self._braking
         travel = abs(twist.v) * _REACTION_S + twist.v**2 / (2.0 * braking.max_acceleration_mps2)
         turn = abs(twist.omega) * _REACTION_S + twist.omega**2 / (2.0 * braking.max_yaw_acceleration_rps2)
-        x, y = math.copysign(1.0, twist.v) * points[:, 0], points[:, 1]
-        off = x - np.minimum(np.maximum(x, 0.0), travel)  # past the ends of the straight way, which it may leave aside
-        return float((off * off + y * y).min(initial=math.inf)) > (self._apart_m + travel * min(turn, 1.0)) ** 2
+        return travel, self._apart_m + travel * min(turn, 1.0)
 
     def _stops_clear(self, field: ClearanceField, velocity: FloatArray, floor: float) -> bool:
         """Whether a robot that drives at ``velocity`` (2,) can brake to a stand and stay ``floor`` m clear."""
@@ -90,3 +94,10 @@ class Guard:
         stopping = brake(committed[:, -1], velocities[:, -1], self._braking, 6)
         poses = np.concatenate([committed, stopping], axis=1)
         return float(field.clearance(self._footprint, poses).min()) >= floor
+
+
+def _are_beside(points: FloatArray, travel: float, apart: float) -> bool:
+    """Whether points (N, 2) are all farther than ``apart`` m from the way from the origin to (travel, 0)."""
+    x, y = math.copysign(1.0, travel) * points[:, 0], points[:, 1]
+    past = x - np.minimum(np.maximum(x, 0.0), abs(travel))  # the ends of the way
+    return float((past * past + y * y).min(initial=math.inf)) > apart**2
