@@ -15,9 +15,10 @@ from hitchhike_ros.robot_model import RobotLimits
 Source = Literal["teleop", "servoing", "navigation"]
 SOURCES: tuple[Source, ...] = get_args(Source)  # most important first
 
-# A robot that stands, and that nobody drives, is told to stand so often. A timer's turn that comes this much early will
-# do, or the next one would be late (chosen).
-_REST_PERIOD_S, _EARLY_S = 1.0, 0.02
+# How often a robot that stands, and that nobody drives, is told to stand, and one that does what it was told to go on:
+# bases stop by themselves half a second after the last command. A timer's turn that comes this much early will do, or
+# the next one would be late (chosen).
+_REST_PERIOD_S, _HOLD_PERIOD_S, _EARLY_S = 1.0, 0.2, 0.02
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,18 @@ class VelocityMux:
     def takes_turn(self, now: float) -> bool:
         """Whether the timer steps the mux at its turn at ``now`` in s, to be asked once a turn.
 
-        Not where a command did since its last turn, and once a second while nobody drives and the robot stands.
+        Not where a command did since its last turn, five times a second while the robot does what it was told, and once
+        a second while nobody drives and it stands.
         """
         commanded, self._commanded = self._commanded, False
-        rests = self.active is None and self._output == Twist2D()
-        return not commanded and not (rests and 0.0 <= now - self._stepped_at < _REST_PERIOD_S - _EARLY_S)
+        return not commanded and not 0.0 <= now - self._stepped_at < self._period_s(now) - _EARLY_S
+
+    def _period_s(self, now: float) -> float:
+        """How often what the base does is to be said again."""
+        if self.active is None:
+            return _REST_PERIOD_S if self._output == Twist2D() else 0.0
+        _, twist = self._commands.get(self.active, (math.inf, None))
+        return _HOLD_PERIOD_S if self._output == twist and self._drives(self.active, now) else 0.0
 
     def step(self, now: float) -> Twist2D:
         """The command at ``now`` in s; towards a stand when no source is fresh, as after time jumped back."""
