@@ -108,7 +108,7 @@ class Localizer(ABC):
         self._begin(pose, covariance)
 
     def predict(self, odometry: Odometry) -> None:
-        """Move by the difference to the odometry before.
+        """Move by the difference to the odometry before; who stands is and stays where it is (P18 Eq. 10 has no noise).
 
         Raises:
             SensorDataError: the odometry is not finite, runs back in time or has jumped. The estimate stays as it was;
@@ -119,7 +119,7 @@ class Localizer(ABC):
         finally:
             if self._odometry:
                 self._stamp = self._odometry.newest.stamp
-        if motion is not None and self.initialised:
+        if motion is not None and motion[0] != Twist2D() and self.initialised:
             self._move(*motion)
 
     def update_scan(self, scan: LaserScan) -> bool:
