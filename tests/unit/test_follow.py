@@ -370,7 +370,7 @@ def test_an_image_between_two_readings_of_the_wheels_counts_from_the_pose_in_bet
     law = FollowLaw(FollowParameters(), LIMITS, 0.0)
     law.add_odometry(Odometry(0.0, Pose2D(0.0, 0.0, 3.1), Twist2D()))
     law.add_odometry(Odometry(0.1, Pose2D(0.1, 0.2, -3.1), Twist2D()))
-    own = law._pose_at(0.05)
+    own = law.pose_at(0.05)
     assert own is not None
     assert (own.x, own.y) == (pytest.approx(0.05), pytest.approx(0.1))
     assert abs(wrap_angle(own.theta - math.pi)) < 1e-9

@@ -160,7 +160,7 @@ class FollowLaw:
         )
 
     def _see(self, observation: MarkerObservation, feed_forward_mps: float) -> None:
-        own = self._pose_at(observation.stamp)
+        own = self.pose_at(observation.stamp)
         if own is None or not observation.pose.is_finite() or not np.isfinite(observation.covariance).all():
             return
         p = self._params
@@ -190,8 +190,8 @@ class FollowLaw:
         gain, limit = self._params.view_gain, self._params.max_bearing_rad
         return max(drift - gain * (limit - bearing), min(drift + gain * (limit + bearing), omega))
 
-    def _pose_at(self, stamp: float) -> Pose2D | None:
-        """Own pose when the image was taken, between two readings of the odometry; None outside of what is known."""
+    def pose_at(self, stamp: float) -> Pose2D | None:
+        """Own pose in ``odom`` when an image was taken, between two readings of the odometry; None where unknown."""
         if not self._odometry or not self._odometry[0].stamp - 0.05 <= stamp:
             return None
         after = next((o for o in self._odometry if o.stamp >= stamp), None)

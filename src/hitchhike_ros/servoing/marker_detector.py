@@ -42,7 +42,7 @@ _PLACES = 21
 _SMOOTHING_PX = 0.8
 # The sides' lines are sought within this of where they are expected, px (chosen); and with what lies within this share
 # of a cell, and these px, they are measured.
-_SEEK_PX, _MEASURE_CELLS, _MEASURE_PX = 3.0, 0.35, (0.75, 2.0)
+_SEEK_PX, _MEASURE_CELLS, _MEASURE_PX = 6.0, 0.35, (0.75, 2.0)
 # What the scatter does not tell of a corner's error in px: rounding, and the pattern inside, whose blur reaches the
 # side where cells are small (px⁴). Measured on rendered tags.
 _FLOOR_PX, _BLURRED_PX = 0.0037, 0.8

@@ -18,7 +18,7 @@ detected, and once in a while to see what else is there.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
@@ -27,6 +27,7 @@ import numpy as np
 from hitchhike_ros import _visp_tracker
 from hitchhike_ros.datatypes import CameraInfo, FloatArray, Positive, UnitInterval
 from hitchhike_ros.errors import VisionError
+from hitchhike_ros.geometry import wrap_angle
 from hitchhike_ros.servoing.lens import GrayImage, Lens
 from hitchhike_ros.servoing.marker_detector import (
     T_TAG_MARKER,
@@ -66,14 +67,16 @@ class MarkerTrackerParameters:
 class _Carried:
     """What is being carried: the marker in the newest image, and its pattern when it was detected.
 
-    ``corners`` (4, 2) px and their ``motion`` (4, 2) px/s are those of the straight picture. ``modelled`` says that the
-    model-based tracker has come to this image.
+    ``corners`` (4, 2) px and their ``motion`` (4, 2) px/s are those of the straight picture, the motion without what
+    the camera made by turning; ``heading`` is where it looked, rad. ``modelled`` says that the model-based tracker has
+    come to this image.
     """
 
     seen: MarkerDetection
     image: GrayImage
     lens: Lens
     stamp: float
+    heading: float
     corners: FloatArray
     motion: FloatArray
     modelled: bool
@@ -114,6 +117,7 @@ class MarkerTracker:
         T_base_camera: FloatArray,
         stamp: float,
         *,
+        heading: float = 0.0,
         target: int | None = None,
         sizes_m: Mapping[int, float] | None = None,
     ) -> list[MarkerDetection]:
@@ -124,6 +128,8 @@ class MarkerTracker:
             camera_info: calibration of that image.
             T_base_camera: (4, 4), for :meth:`MarkerDetector.resolve`.
             stamp: time of the image in s.
+            heading: of the camera in a frame that stands still, such as odom, rad; what turns with it is expected
+                elsewhere.
             target: the marker to carry, None for the nearest one. While it is carried, others are seen only when all
                 are looked for.
             sizes_m: as in :meth:`MarkerDetector.detect`.
@@ -133,26 +139,28 @@ class MarkerTracker:
         """
         self.why_detected = self._idle_because(gray, camera_info, stamp, target, sizes_m or {})
         if self._carried is not None and not self.why_detected:
-            carried = self._carry(self._carried, gray, stamp)
+            carried = self._carry(self._carried, gray, stamp, heading)
             if carried is not None:
                 detection, modelled = carried
                 [seen] = self.detector.resolve([detection], T_base_camera, stamp)
-                self._carried = self._gone_on(self._carried, seen, gray, stamp, modelled=modelled)
+                self._carried = self._gone_on(self._carried, seen, gray, stamp, heading, modelled=modelled)
                 return [seen]
         thorough = self._missed % self.params.thorough_every == self.params.thorough_every - 1
         detected = self.detector.detect(gray, camera_info, sizes_m, thorough=thorough)
         found = self.detector.resolve(detected, T_base_camera, stamp)
         wanted = nearest(d for d in found if target in (None, d.id))
         self._missed = 0 if wanted is not None else self._missed + 1
-        self._carried = None if wanted is None else self._started(wanted, gray, camera_info, stamp)
+        self._carried = None if wanted is None else self._started(wanted, gray, camera_info, stamp, heading)
         return found
 
-    def _carry(self, carried: _Carried, gray: GrayImage, stamp: float) -> tuple[MarkerDetection, bool] | None:
+    def _carry(
+        self, carried: _Carried, gray: GrayImage, stamp: float, heading: float
+    ) -> tuple[MarkerDetection, bool] | None:
         """The marker where it has gone, and whether the model-based tracker has come there.
 
         None when it has to be detected, and ``why_detected`` says why.
         """
-        for expected in self._expected(carried, gray, stamp):
+        for expected in self._expected(carried, gray, stamp, heading):
             detection = self._measured(carried, gray, expected, _LINES_BORDER)
             if detection is not None:
                 return detection, False
@@ -165,11 +173,12 @@ class MarkerTracker:
         drift = np.abs(_corners(detection, carried.lens) - tracked).max()
         return detection, bool(drift <= self.params.max_drift_px)
 
-    def _expected(self, carried: _Carried, gray: GrayImage, stamp: float) -> Iterator[FloatArray]:
+    def _expected(self, carried: _Carried, gray: GrayImage, stamp: float, heading: float) -> Iterator[FloatArray]:
         """Corners (4, 2) px near which the lines of the sides may be sought."""
         if not self.detector.has_sides:
             return
-        yield carried.corners + carried.motion * (stamp - carried.stamp)
+        turned = _turned(carried.corners, carried.lens, heading - carried.heading)
+        yield turned + carried.motion * (stamp - carried.stamp)
         before = carried.seen.corners
         shift = patch_shift(carried.image, gray, before)
         if shift is not None:
@@ -232,28 +241,41 @@ class MarkerTracker:
             return "time to look around"
         return ""
 
-    def _started(self, seen: MarkerDetection, gray: GrayImage, info: CameraInfo, stamp: float) -> _Carried:
+    def _started(
+        self, seen: MarkerDetection, gray: GrayImage, info: CameraInfo, stamp: float, heading: float
+    ) -> _Carried:
         """From a detection."""
         lens = self.detector.lens(info)
         corners = _corners(seen, lens)
         pattern = _visp_tracker.pattern(lens.straight(gray, corners, _LINES_BORDER), corners, self.detector.cells)
         before, motion = self._carried, np.zeros((4, 2))
         if before is not None and before.lens is lens and before.seen.id == seen.id:
-            motion = _motion(before, corners, stamp)
-        return _Carried(seen, gray, lens, stamp, corners, motion, False, stamp, pattern)
+            motion = _motion(before, corners, stamp, heading)
+        return _Carried(seen, gray, lens, stamp, heading, corners, motion, False, stamp, pattern)
 
     def _gone_on(
-        self, before: _Carried, seen: MarkerDetection, gray: GrayImage, stamp: float, *, modelled: bool
+        self, before: _Carried, seen: MarkerDetection, gray: GrayImage, stamp: float, heading: float, *, modelled: bool
     ) -> _Carried:
         corners = _corners(seen, before.lens)
-        motion = _motion(before, corners, stamp)
-        return replace(before, seen=seen, image=gray, stamp=stamp, corners=corners, motion=motion, modelled=modelled)
+        motion = _motion(before, corners, stamp, heading)
+        return _Carried(
+            seen, gray, before.lens, stamp, heading, corners, motion, modelled, before.detected_at, before.pattern
+        )
 
 
-def _motion(before: _Carried, corners: FloatArray, stamp: float) -> FloatArray:
-    """Of the corners (4, 2) since the image before, px/s."""
+def _motion(before: _Carried, corners: FloatArray, stamp: float, heading: float) -> FloatArray:
+    """Of the corners (4, 2) since the image before, px/s, beside what the camera's turning made."""
     elapsed = stamp - before.stamp
-    return (corners - before.corners) / elapsed if elapsed > 0.0 else np.zeros((4, 2))
+    turned = _turned(before.corners, before.lens, heading - before.heading)
+    return (corners - turned) / elapsed if elapsed > 0.0 else np.zeros((4, 2))
+
+
+def _turned(corners: FloatArray, lens: Lens, angle: float) -> FloatArray:
+    """Where corners (4, 2) px are seen once an upright camera has turned to the left by ``angle`` rad."""
+    x = (corners[:, 0] - lens.K[0, 2]) / lens.K[0, 0]
+    turned = corners.copy()
+    turned[:, 0] += lens.K[0, 0] * (1.0 + x * x) * wrap_angle(angle)
+    return turned
 
 
 def _corners(detection: MarkerDetection, lens: Lens) -> FloatArray:

@@ -186,7 +186,13 @@ class ComposedRobot:
         if servo.task != "follow":  # every marker says where the robot is
             self._tracker.reset()
         found = self._tracker.see(
-            self._gray(covered), self.body.camera_info, self._T_base_camera, now, target=servo.marker_id, sizes_m=sizes
+            self._gray(covered),
+            self.body.camera_info,
+            self._T_base_camera,
+            now,
+            heading=self._seen_from.theta,
+            target=servo.marker_id,
+            sizes_m=sizes,
         )
         self._observations = [planar_observation(d, self._T_base_camera, now) for d in found]
         if servo.task == "follow":
