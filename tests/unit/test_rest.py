@@ -26,15 +26,26 @@ def worked_on(rest: Rest, times: list[float], without_pose: tuple[float, ...] = 
     return found
 
 
-TENTHS = [round(1.0 + 0.1 * i, 1) for i in range(12)]
+TENTHS = [round(1.0 + 0.1 * i, 1) for i in range(30)]
 
 
 def test_the_first_scan_of_a_robot_that_stopped_counts_and_then_one_in_a_while():
-    assert worked_on(standing(), TENTHS) == [1.0, 1.8]
+    assert worked_on(standing(), TENTHS) == [1.0, 3.4]
 
 
 def test_a_scan_that_gave_no_pose_is_none():
-    assert worked_on(standing(), TENTHS, without_pose=(1.8,)) == [1.0, 1.8, 1.9]
+    assert worked_on(standing(), TENTHS, without_pose=(3.4,)) == [1.0, 3.4, 3.5]
+
+
+def test_between_them_the_pose_is_told_before_a_second_has_passed():
+    rest, told = standing(), []
+    for time in TENTHS:
+        if not rest.leaves_out(time):
+            rest.worked(time)
+        elif rest.owes_pose(time):
+            rest.told(time)
+            told.append(time)
+    assert told == [1.8, 2.6]
 
 
 def test_who_moves_or_has_a_goal_does_not_rest():

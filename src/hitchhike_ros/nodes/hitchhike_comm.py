@@ -81,7 +81,7 @@ from hitchhike_ros.ros_io.conversions import (
     odometry_from_msg,
 )
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, Timer, run
 from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path_parameter
 
 # An estimate older than this is no longer the robot's pose (s).
@@ -150,16 +150,19 @@ class HitchhikeComm:
             rospy.Subscriber(topic, cls, callback, queue_size=50 if cls is String else 1, tcp_nodelay=True)
             for topic, cls, callback in subscriptions
         ]
-        self._timer = rospy.Timer(rospy.Duration(1.0 / float(rospy.get_param("~rate", 10.0))), self._step, reset=True)
+        self._timer = Timer(1.0 / float(rospy.get_param("~rate", 10.0)), self._step)
 
     # Callbacks store.
 
     def _on_network(self, msg: String) -> None:
+        caller = str(msg._connection_header.get("callerid", "?"))
+        if caller == rospy.get_name():  # its own, where all share a topic
+            return
         try:
             with self._lock:
                 message = self._inbox.receive(msg.data)
         except MessageError as exc:
-            self._drop(str(msg._connection_header.get("callerid", "?")), f"network message dropped: {exc}")
+            self._drop(caller, f"network message dropped: {exc}")
             return
         if message is None:
             return
@@ -219,7 +222,7 @@ class HitchhikeComm:
 
     # Steps the machines, one step at a time: at the timer's turns, and at once for a message that wants an answer.
 
-    def _step(self, _event: rospy.timer.TimerEvent | None = None) -> None:
+    def _step(self) -> None:
         with self._steps:
             self._step_once(rospy.Time.now().to_sec())
 

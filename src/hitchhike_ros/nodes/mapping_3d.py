@@ -62,7 +62,7 @@ from hitchhike_ros.ros_io.conversions import (
     estimate_from_msg,
     header,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, Timer, run
 from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path_parameter
 
 # The core is stepped so often while it maps or a map is under way (s).
@@ -109,7 +109,7 @@ class Mapping3D:
         self._heard: list[MapMessage] = []
         self._announced: dict[str, Transfer] = {}
         self._newest: bytes | None = None
-        self._timer: rospy.Timer | None = None
+        self._timer: Timer | None = None
 
         self._network = rospy.Publisher(network_topic("network_out"), String, queue_size=200, tcp_nodelay=True)
         self._files = rospy.Publisher("octomap_binary", UInt8MultiArray, queue_size=1, latch=True)
@@ -184,7 +184,7 @@ class Mapping3D:
         if (carries or sharing) == (self._timer is not None):
             return
         if self._timer is None:
-            self._timer = rospy.Timer(rospy.Duration(_STEP_S), self._step, reset=True)
+            self._timer = Timer(_STEP_S, self._step)
         else:
             self._timer.shutdown()
             self._timer = None
@@ -221,7 +221,7 @@ class Mapping3D:
 
     # The one place that maps and transfers.
 
-    def _step(self, _event: rospy.timer.TimerEvent) -> None:
+    def _step(self) -> None:
         with self._lock:
             now = rospy.get_time()
             if self._camera.on:

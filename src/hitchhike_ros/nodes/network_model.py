@@ -46,7 +46,7 @@ from std_msgs.msg import String
 
 from hitchhike_ros.datatypes import Positive
 from hitchhike_ros.errors import ParameterError
-from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
+from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, Timer, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 from hitchhike_ros.simulation.network_model import NetworkModel, NetworkParameters
 from hitchhike_ros.simulation.world_file import load_world
@@ -94,8 +94,8 @@ class NetworkModelNode:
             ]
         self._report()
         self._timers = [
-            rospy.Timer(rospy.Duration(1.0 / self._params.rate), self._on_timer, reset=True),
-            rospy.Timer(rospy.Duration(1.0), self._report, reset=True),
+            Timer(1.0 / self._params.rate, self._on_timer),
+            Timer(1.0, self._report),
         ]
 
     def _on_truth(self, msg: Odometry, robot: str) -> None:
@@ -111,7 +111,7 @@ class NetworkModelNode:
                     self._send(now, sender, receiver, msg)
             self._deliver(now)
 
-    def _on_timer(self, _event: object) -> None:
+    def _on_timer(self) -> None:
         with self._lock:
             self._deliver(self._read_clock())
 
@@ -158,7 +158,7 @@ class NetworkModelNode:
     def _tell(self, what: str, sender: str, receiver: str) -> None:
         self._counts[what, sender, receiver] += 1
 
-    def _report(self, _event: object = None) -> None:
+    def _report(self) -> None:
         with self._lock:
             counts, waiting, latest_s = dict(self._counts), len(self._under_way), self._latest_s
         totals = dict.fromkeys(("sent", "delivered", "lost", "doubled", "out_of_reach", "overflowed"), 0)

@@ -57,6 +57,7 @@ from hitchhike_ros.protocol.machine import NavigationReport
 from hitchhike_ros.protocol.status import GoalCommand, Status
 from hitchhike_ros.robot_model import RobotLimits, mount
 from hitchhike_ros.ros_io.conversions import (
+    LaserScanArrayMsg,
     estimate_from_msg,
     odometry_from_msg,
     path_from_msg,
@@ -65,7 +66,7 @@ from hitchhike_ros.ros_io.conversions import (
     twist_from_msg,
     twist_to_msg,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, Timer, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 
 # A plan whose last pose is farther than this from the goal, in m and rad, is to another one.
@@ -104,7 +105,7 @@ class ObstacleAvoidanceNode:
         self._avoidance = ObstacleAvoidance(self._limits, self._params)
         self._changed = threading.Condition()  # guards everything below
         self._status: Status | None = None
-        self._timer: rospy.Timer | None = None
+        self._timer: Timer | None = None
         self._report = NavigationReport("", "idle")
         self._forget()
 
@@ -119,7 +120,7 @@ class ObstacleAvoidanceNode:
                 ("plan", Path, self._on_plan),
                 ("amcl_pose", PoseWithCovarianceStamped, self._on_estimate),
                 ("odom", OdometryMsg, self._on_odometry),
-                ("scan", LaserScanMsg, self._on_scan),
+                ("scan", LaserScanArrayMsg, self._on_scan),
                 ("cmd_vel/teleop", Twist, self._on_teleop),
                 ("teleop/active", Bool, self._on_active),
             ]
@@ -150,7 +151,7 @@ class ObstacleAvoidanceNode:
             if self._switch.set(status.modules.OBS):
                 self._forget()
                 if status.modules.OBS:
-                    self._timer = rospy.Timer(rospy.Duration(_WATCH_PERIOD_S), self._watch, reset=True)
+                    self._timer = Timer(_WATCH_PERIOD_S, self._watch)
                 elif self._timer is not None:
                     self._timer.shutdown()
                     self._timer = None
@@ -217,7 +218,7 @@ class ObstacleAvoidanceNode:
     def _located(self, stamp: float) -> bool:
         return self._estimate is not None and self._estimate.stamp >= stamp - _STAMP_TOLERANCE_S
 
-    def _watch(self, _event: rospy.timer.TimerEvent) -> None:
+    def _watch(self) -> None:
         """Scans that stay away must not leave the robot driving."""
         with self._changed:
             silent = rospy.get_time() - self._decided_at

@@ -46,7 +46,7 @@ from hitchhike_ros.protocol.machine import NavigationReport
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.ros_io.conversions import estimate_from_msg, grid_from_msg, path_to_msg, pose_from_msg
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, Timer, run
 from hitchhike_ros.ros_io.parameters import node_parameters
 
 _LEVEL = {"idle": OK, "waiting": WARN, "planned": OK, "failed": ERROR}
@@ -59,11 +59,11 @@ class PathPlanning:
         limits = node_parameters(RobotLimits, "robot")
         self._planner = GlobalPlanner(node_parameters(GlobalPlannerParameters, "global_planner"), limits)
         self._replanner_params = node_parameters(ReplannerParameters, "path_planning")
-        self._period = rospy.Duration(1.0 / float(rospy.get_param("~rate", 10.0)))
+        self._period_s = 1.0 / float(rospy.get_param("~rate", 10.0))
         self._lock = threading.RLock()
         self._forget()
         self._plan = Plan()
-        self._timer: rospy.Timer | None = None
+        self._timer: Timer | None = None
         self._diagnostics = Diagnostics("path_planning")
         self._plans = rospy.Publisher("plan", Path, queue_size=1, latch=True, tcp_nodelay=True)
         self._states = rospy.Publisher("path_planning/status", String, queue_size=10, latch=True, tcp_nodelay=True)
@@ -95,7 +95,7 @@ class PathPlanning:
             if not self._switch.set(on):
                 return
             if on:
-                self._timer = rospy.Timer(self._period, self._step, reset=True)
+                self._timer = Timer(self._period_s, self._step)
                 return
             if self._timer is not None:
                 self._timer.shutdown()
@@ -144,7 +144,7 @@ class PathPlanning:
 
     # The one place that steps the replanner.
 
-    def _step(self, _event: rospy.timer.TimerEvent) -> None:
+    def _step(self) -> None:
         with self._lock:
             order, grid, estimate, report = self._order, self._grid, self._estimate, self._report
             replanner = self._replanner

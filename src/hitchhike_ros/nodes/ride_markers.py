@@ -31,7 +31,7 @@ from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import Status, decode_status
 from hitchhike_ros.ros_io.conversions import pose_to_msg
-from hitchhike_ros.ros_io.node import run
+from hitchhike_ros.ros_io.node import Timer, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 from hitchhike_ros.simulation.world_file import load_world
 
@@ -88,7 +88,7 @@ class RideMarkers:
                     rospy.Subscriber(f"/{robot.name}/{topic}", String, callback, robot, queue_size=5)
                 )
         period_s = node_parameters(RideMarkersParameters, "ride_markers").period_s
-        self._timer = rospy.Timer(rospy.Duration(period_s), self._draw, reset=True)
+        self._timer = Timer(period_s, self._draw)
 
     def _on_status(self, msg: String, robot: _Robot) -> None:
         try:
@@ -117,7 +117,7 @@ class RideMarkers:
         with self._lock:
             robot.seen = seen
 
-    def _draw(self, _event: rospy.timer.TimerEvent) -> None:
+    def _draw(self) -> None:
         now = rospy.get_time()
         clear = Marker(action=Marker.DELETEALL)
         with self._lock:

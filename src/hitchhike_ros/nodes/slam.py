@@ -77,6 +77,7 @@ from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import ModuleSwitches, Status
 from hitchhike_ros.robot_model import mount
 from hitchhike_ros.ros_io.conversions import (
+    LaserScanArrayMsg,
     estimate_from_msg,
     estimate_to_msg,
     grid_from_msg,
@@ -86,7 +87,7 @@ from hitchhike_ros.ros_io.conversions import (
     quaternion_from_yaw,
     scan_from_msg,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, Timer, run
 from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
 
 # Without a scan for longer than this, the diagnosis says so (chosen).
@@ -127,7 +128,7 @@ class Slam:
         self._scanned_at = 0.0
         self._rest = Rest()
         self._left_out: LaserScanMsg | None = None  # the newest scan, where it was not worked on
-        self._timer: rospy.Timer | None = None  # looks whether scans come or, off, repeats map -> odom
+        self._timer: Timer | None = None  # looks whether scans come or, off, repeats map -> odom
         self._T_map_odom: Transform | None = None  # the last that was published
 
         self._poses = rospy.Publisher("amcl_pose", PoseWithCovarianceStamped, queue_size=1, tcp_nodelay=True)
@@ -140,7 +141,7 @@ class Slam:
         self._switch = Switch(
             [
                 ("odom", OdometryMsg, self._on_odometry),
-                ("scan", LaserScanMsg, self._on_scan),
+                ("scan", LaserScanArrayMsg, self._on_scan),
                 ("visual_servoing/observations", String, self._on_observations),
             ]
         )
@@ -187,10 +188,10 @@ class Slam:
             self._localizer = None
             self._diagnostics.set(OK, "off")
 
-    def _every(self, period_s: float, callback: Callable[[rospy.timer.TimerEvent], None]) -> None:
+    def _every(self, period_s: float, callback: Callable[[], None]) -> None:
         if self._timer is not None:
             self._timer.shutdown()
-        self._timer = rospy.Timer(rospy.Duration(period_s), callback, reset=True)
+        self._timer = Timer(period_s, callback)
 
     def _start(self) -> None:
         """Give the filter the pose that is known otherwise."""
@@ -264,6 +265,9 @@ class Slam:
             self._left_out = msg
             if self._odometry_problem or not self._rest.leaves_out(stamp):
                 self._work(msg)
+            elif self._localizer is not None and self._rest.owes_pose(stamp):
+                self._rest.told(stamp)
+                self._publish_pose(self._localizer.estimate_at(stamp))
         self._answer(stamp)
 
     def _work(self, msg: LaserScanMsg) -> None:
@@ -306,7 +310,7 @@ class Slam:
         if self._mapper.obstacles != self._mapped and scan.stamp - self._mapped_at >= _MAP_PERIOD_S:
             self._publish_map(scan.stamp)
 
-    def _watch(self, _event: rospy.timer.TimerEvent) -> None:
+    def _watch(self) -> None:
         with self._lock:
             silent = rospy.get_time() - self._scanned_at
             if self._localizer is not None and silent > _SILENCE_S:
@@ -326,7 +330,7 @@ class Slam:
         self._T_map_odom = Transform(Vector3(T_map_odom.x, T_map_odom.y, 0.0), rotation)
         self._send_transform(estimate.stamp)
 
-    def _repeat(self, _event: rospy.timer.TimerEvent) -> None:
+    def _repeat(self) -> None:
         with self._lock:
             if self._localizer is None and self._T_map_odom is not None:
                 self._send_transform(rospy.get_time() + _REPEAT_PERIOD_S)

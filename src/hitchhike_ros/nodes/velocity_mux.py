@@ -7,8 +7,8 @@ Subscribed:
     cmd_vel/teleop, cmd_vel/servoing, cmd_vel/navigation (geometry_msgs/Twist): in this order of priority
     hhike_msg/status (std_msgs/String): whether the robot has a goal or a ride
 Published:
-    cmd_vel (geometry_msgs/Twist): at once on a command, and every 1 / ``~rate`` of ROS time in which none came;
-        once a second while nobody drives and the robot stands
+    cmd_vel (geometry_msgs/Twist): at once on a command, and every 1 / ``~rate`` of ROS time in which none came; five
+        times a second while the robot does what it was told, once while nobody drives and it stands
     /diagnostics (diagnostic_msgs/DiagnosticArray): the source that drives, commands refused
 Parameters:
     ~config (path), sections ``velocity_mux`` (control.velocity_mux.VelocityMuxParameters) and ``robot``
@@ -29,7 +29,7 @@ from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.ros_io.conversions import twist_from_msg, twist_to_msg
-from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, StatusListener, run
+from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, StatusListener, Timer, run
 from hitchhike_ros.ros_io.parameters import node_parameters
 
 
@@ -50,8 +50,7 @@ class VelocityMuxNode:
             for s in SOURCES
         ]
         self._listener = StatusListener(self._on_status, self._diagnostics)
-        # reset: the timer goes on after time has jumped back.
-        self._timer = rospy.Timer(rospy.Duration(1.0 / rate), self._on_timer, reset=True)
+        self._timer = Timer(1.0 / rate, self._on_timer)
 
     def _on_command(self, msg: Twist, source: Source) -> None:
         with self._lock:
@@ -66,7 +65,7 @@ class VelocityMuxNode:
         with self._lock:
             self._mux.hands = status.hands
 
-    def _on_timer(self, _event: rospy.timer.TimerEvent) -> None:
+    def _on_timer(self) -> None:
         with self._lock:
             due = self._mux.takes_turn(rospy.get_time())
         if due:

@@ -13,8 +13,8 @@ Subscribed:
     hhike_msg/status (std_msgs/String): whether the module is on, and which marker to follow or observe
     camera/image_raw (sensor_msgs/Image: mono8, rgb8 or bgr8), camera/camera_info (sensor_msgs/CameraInfo, plumb_bob),
     odom (nav_msgs/Odometry): only while the module is on
-    scan (sensor_msgs/LaserScan): likewise, where there is a config and the URDF has a laser: what comes between is
-        braked for
+    scan (sensor_msgs/LaserScan): only while the task is to follow, with a config and a URDF that has a laser: what
+        comes between is braked for
 Published, once an image, or every other one while it follows steadily:
     visual_servoing/observations (std_msgs/String): JSON of all markers seen, in base_footprint
     visual_servoing/object_position (geometry_msgs/PoseStamped), object_position_covariance
@@ -64,6 +64,7 @@ from hitchhike_ros.protocol.observations import encode_observations
 from hitchhike_ros.protocol.status import ANY_MARKER, ServoCommand, Status
 from hitchhike_ros.robot_model import RobotLimits, fixed_transforms, mount
 from hitchhike_ros.ros_io.conversions import (
+    LaserScanArrayMsg,
     camera_info_from_msg,
     image_from_msg,
     image_to_msg,
@@ -72,7 +73,7 @@ from hitchhike_ros.ros_io.conversions import (
     scan_from_msg,
     twist_to_msg,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, Timer, run
 from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
 from hitchhike_ros.servoing.follow import Decision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
@@ -146,7 +147,7 @@ class VisualServoing:
         self._on_since = self._image_at = 0.0
         self._looked_at = 0.0  # stamp of the newest image that was searched
         self._steady: Twist2D | None = None  # the command, while it is to stay as it is for a while
-        self._timer: rospy.Timer | None = None
+        self._timer: Timer | None = None
 
         self._commands = rospy.Publisher("cmd_vel/servoing", Twist, queue_size=1, tcp_nodelay=True)
         self._observations = self._output("observations", String)
@@ -162,9 +163,9 @@ class VisualServoing:
                 ("odom", OdometryMsg, self._on_odometry),
                 ("camera/camera_info", CameraInfoMsg, self._on_camera_info),
                 ("camera/image_raw", Image, self._on_image),
-                *([] if self._guard is None else [("scan", LaserScanMsg, self._on_scan)]),
             ]
         )
+        self._laser = Switch([("scan", LaserScanArrayMsg, self._on_scan)])
         self._alone = bool(rospy.get_param("~always_on", False))
         if self._alone:
             self._turn(ServoCommand("observe", ANY_MARKER) if self._unusable else self._own_command())
@@ -225,12 +226,12 @@ class VisualServoing:
                     self._law.reset()
                 if before is not None and before.task == "follow":
                     self._commands.publish(twist_to_msg(Twist2D()))
+            self._laser.set(self._guard is not None and servo is not None and servo.task == "follow")
             if self._switch.set(servo is not None):
                 if servo is not None:
                     self._info, self._lens, self._odometry_problem = None, "", ""
                     self._image_at = self._on_since = rospy.get_time()
-                    period = rospy.Duration(self._params.watch_period_s)
-                    self._timer = rospy.Timer(period, self._watch, reset=True)
+                    self._timer = Timer(self._params.watch_period_s, self._watch)
                 elif self._timer is not None:
                     self._timer.shutdown()
                     self._timer = None
@@ -315,7 +316,11 @@ class VisualServoing:
         if servo.task != "follow" and not self._alone:  # every marker says where the robot is
             self._tracker.reset()
         target = None if servo.marker_id == ANY_MARKER else servo.marker_id
-        return self._tracker.see(gray, self._info, self._T_base_camera, stamp, target=target, sizes_m=sizes)
+        own = None if self._law is None else self._law.pose_at(stamp)
+        heading = 0.0 if own is None else own.theta
+        return self._tracker.see(
+            gray, self._info, self._T_base_camera, stamp, heading=heading, target=target, sizes_m=sizes
+        )
 
     @staticmethod
     def _target(detections: list[MarkerDetection], servo: ServoCommand) -> MarkerDetection | None:
@@ -359,7 +364,7 @@ class VisualServoing:
             and abs(decision.twist.omega) <= p.steady_yaw_rate_rps
         )
 
-    def _watch(self, _event: rospy.timer.TimerEvent) -> None:
+    def _watch(self) -> None:
         """Images that stay away must not leave the robot driving."""
         with self._lock:
             servo = self._servo

@@ -20,6 +20,7 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import MapMetaData, Path
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
+from rospy.numpy_msg import numpy_msg
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
 from sensor_msgs.msg import LaserScan as LaserScanMsg
@@ -113,6 +114,10 @@ def odometry_to_msg(odometry: Odometry, frame_id: str, child_frame_id: str) -> O
     msg.pose.pose = pose_to_msg(odometry.pose)
     msg.twist.twist = twist_to_msg(odometry.twist)
     return msg
+
+
+# The same message, read into arrays: a tuple of Python's numbers for each scan takes longer than what is done with it.
+LaserScanArrayMsg = numpy_msg(LaserScanMsg)
 
 
 def scan_from_msg(msg: LaserScanMsg) -> LaserScan:

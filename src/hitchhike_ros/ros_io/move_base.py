@@ -10,16 +10,20 @@ from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedb
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven
 from hitchhike_ros.ros_io.conversions import pose_from_msg, pose_stamped
+from hitchhike_ros.ros_io.node import Timer
 
 
 class MoveBaseServer:
     """An action server that is polled, so that whoever steps the robot also says what became of its goal."""
 
     def __init__(self) -> None:
+        # Its status comes at each change, and once a second from here: a timer of actionlib's wakes at every tick.
+        rospy.set_param("~actionlib_status_frequency", 0.0)
         self._server = actionlib.SimpleActionServer("move_base", MoveBaseAction, auto_start=False)
         self._plain: PoseStamped | None = None
         self._forward = rospy.Publisher("move_base/goal", MoveBaseActionGoal, queue_size=5)
         self._server.start()
+        self._heartbeat = Timer(1.0, self._server.action_server.publish_status)
         self._subscriber = rospy.Subscriber("move_base_simple/goal", PoseStamped, self._on_plain, queue_size=1)
 
     @property
