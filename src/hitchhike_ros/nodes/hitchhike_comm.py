@@ -155,14 +155,11 @@ class HitchhikeComm:
     # Callbacks store.
 
     def _on_network(self, msg: String) -> None:
-        caller = str(msg._connection_header.get("callerid", "?"))
-        if caller == rospy.get_name():  # its own, where all share a topic
-            return
         try:
             with self._lock:
                 message = self._inbox.receive(msg.data)
         except MessageError as exc:
-            self._drop(caller, f"network message dropped: {exc}")
+            self._drop(str(msg._connection_header.get("callerid", "?")), f"network message dropped: {exc}")
             return
         if message is None:
             return

@@ -265,9 +265,8 @@ class Slam:
             self._left_out = msg
             if self._odometry_problem or not self._rest.leaves_out(stamp):
                 self._work(msg)
-            elif self._localizer is not None and self._rest.owes_pose(stamp):
-                self._rest.told(stamp)
-                self._publish_pose(self._localizer.estimate_at(stamp))
+            elif self._rest.owes_pose(stamp):
+                self._tell(stamp)
         self._answer(stamp)
 
     def _work(self, msg: LaserScanMsg) -> None:
@@ -276,13 +275,28 @@ class Slam:
             scan = scan_from_msg(msg)
             estimate = self._localize(scan)
         except SensorDataError as exc:
-            self._diagnostics.count("bad_scans")
-            self._diagnostics.set(ERROR, str(exc))
+            self._refuse(exc)
         else:
             if estimate is not None:
                 self._rest.worked(scan.stamp)
                 self._publish_pose(estimate)
                 self._map(scan, estimate)
+
+    def _tell(self, stamp: float) -> None:
+        """The pose at a scan that is left out, as the wheels stand."""
+        if self._localizer is None:
+            return
+        try:
+            estimate = self._localizer.estimate_at(stamp)
+        except SensorDataError as exc:
+            self._refuse(exc)
+        else:
+            self._rest.told(stamp)
+            self._publish_pose(estimate)
+
+    def _refuse(self, exc: SensorDataError) -> None:
+        self._diagnostics.count("bad_scans")
+        self._diagnostics.set(ERROR, str(exc))
 
     # Localizing and mapping.
 
