@@ -1,8 +1,10 @@
-"""When a timer calls back on a simulated clock."""
+"""When a timer calls back on a simulated clock, and which of its ticks a node hears."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Iterator
 
 import pytest
 import rospy
@@ -10,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosgraph_msgs.msg import Clock
 
-from hitchhike_ros.ros_io.node import Timer
+from hitchhike_ros.ros_io.timer import ClockEar, Timer
 
 
 class SimulatedClock:
@@ -90,3 +92,83 @@ def test_between_two_calls_pass_no_more_than_a_period_and_a_tick(steps, period):
         last = max((t for t in called if t <= before), default=0.0)
         assert now in called or now - last < period / 100.0 + 1e-6
     assert len(called) <= times[-1] / (period / 100.0) + 1e-6
+
+
+class Connection:
+    """As rospy reads /clock: a thread that takes the newest tick there is, and comes back for more when all is done."""
+
+    def __init__(self, ear: ClockEar) -> None:
+        self.sent = self.now = 0
+        self.heard: list[int] = []
+        self._ear, self._closed = ear, False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closed:
+            if self.sent == self.now:
+                time.sleep(1e-4)
+                continue
+            self.now = self.sent
+            self.heard.append(self.now)
+            self._ear._on_tick(Clock())
+
+    def send(self, ticks: int) -> None:
+        for _ in range(ticks):
+            self.sent += 1
+            time.sleep(1e-3)
+
+    def close(self) -> None:
+        self._closed = True
+        self._thread.join(5.0)
+
+
+@pytest.fixture
+def dozing(monkeypatch) -> Iterator[tuple[ClockEar, Connection]]:
+    monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: False)
+    monkeypatch.setattr(rospy, "Subscriber", lambda *_args, **_options: object())
+    ear = ClockEar()
+    ear.doze()
+    connection = Connection(ear)
+    yield ear, connection
+    connection.close()
+
+
+def test_who_dozes_hears_few_ticks_and_who_needs_them_all_of_them(dozing):
+    ear, connection = dozing
+    connection.send(100)  # 0.1 s, where a doze is 0.25 s; on a slow machine more
+    assert len(connection.heard) < 20
+    ear.need()
+    for _ in range(50):
+        connection.send(1)
+        deadline = time.monotonic() + 10.0
+        while connection.now != connection.sent and time.monotonic() < deadline:
+            time.sleep(1e-4)
+    assert connection.heard[-50:] == list(range(connection.sent - 49, connection.sent + 1))
+    ear.release()
+    before = len(connection.heard)
+    connection.send(100)
+    assert len(connection.heard) - before < 20
+
+
+def test_who_wakes_knows_the_time(dozing):
+    ear, connection = dozing
+    for _ in range(5):
+        connection.send(20)
+        ear.need()
+        assert connection.now == connection.sent
+        ear.release()
+
+
+def test_without_ticks_nobody_waits_for_long(dozing):
+    ear, _ = dozing
+    ear.need()  # returns, or the test would hang
+    ear.release()
+
+
+def test_who_does_not_doze_waits_for_nothing(monkeypatch):
+    ear = ClockEar()
+    monkeypatch.setattr(ear, "_changed", threading.Condition())
+    monkeypatch.setattr(ear._changed, "wait_for", lambda *_args: pytest.fail("it waits"))
+    ear.need()
+    ear.release()

@@ -81,8 +81,9 @@ from hitchhike_ros.ros_io.conversions import (
     odometry_from_msg,
 )
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, Timer, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path_parameter
+from hitchhike_ros.ros_io.timer import Timer
 
 # An estimate older than this is no longer the robot's pose (s).
 _ESTIMATE_AGE_S = 1.0

@@ -3,7 +3,7 @@
 Usage: ``rosrun hitchhike_ros map_server MAP.yaml`` or parameter ``~map``.
 
 Published:
-    map (nav_msgs/OccupancyGrid, latched): its stamp is 0, as it holds at any time
+    map (nav_msgs/OccupancyGrid, latched)
     map_metadata (nav_msgs/MapMetaData, latched)
 Services:
     static_map (nav_msgs/GetMap)
@@ -38,7 +38,7 @@ class MapServer:
         if not path:
             raise ParameterError(rospy.get_name(), "~map", path, "a map_server YAML file, here or as the argument")
         grid = load_map(path)
-        self._msg = grid_to_msg(grid, 0.0, str(rospy.get_param("~frame_id", "map")))
+        self._msg = grid_to_msg(grid, rospy.Time.now().to_sec(), str(rospy.get_param("~frame_id", "map")))
         self._diagnostics = Diagnostics("map_server")
         self._diagnostics.set(
             OK, "serving", file=path, width=grid.width, height=grid.height, resolution=grid.resolution
@@ -56,4 +56,4 @@ class MapServer:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros map_server``."""
-    run("map_server", MapServer, keeps_time=False)
+    run("map_server", MapServer, dozes=True)

@@ -62,8 +62,9 @@ from hitchhike_ros.ros_io.conversions import (
     estimate_from_msg,
     header,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, Timer, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, run
 from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path_parameter
+from hitchhike_ros.ros_io.timer import Timer
 
 # The core is stepped so often while it maps or a map is under way (s).
 _STEP_S = 0.1
@@ -387,4 +388,4 @@ def _colours(heights: FloatArray) -> list[ColorRGBA]:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros mapping_3d``."""
-    run("mapping_3d", Mapping3D)
+    run("mapping_3d", Mapping3D, dozes=True)

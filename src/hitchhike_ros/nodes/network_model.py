@@ -46,8 +46,9 @@ from std_msgs.msg import String
 
 from hitchhike_ros.datatypes import Positive
 from hitchhike_ros.errors import ParameterError
-from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, Timer, run
+from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.timer import Timer
 from hitchhike_ros.simulation.network_model import NetworkModel, NetworkParameters
 from hitchhike_ros.simulation.world_file import load_world
 

@@ -66,8 +66,9 @@ from hitchhike_ros.ros_io.conversions import (
     twist_from_msg,
     twist_to_msg,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, Timer, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.timer import Timer
 
 # A plan whose last pose is farther than this from the goal, in m and rad, is to another one.
 _SAME_PLACE_M, _SAME_HEADING_RAD = 0.2, 0.02
@@ -149,12 +150,12 @@ class ObstacleAvoidanceNode:
             self._by_hand.hear_status()
             goal = self._goal
             if self._switch.set(status.modules.OBS):
-                self._forget()
                 if status.modules.OBS:
                     self._timer = Timer(_WATCH_PERIOD_S, self._watch)
                 elif self._timer is not None:
                     self._timer.shutdown()
                     self._timer = None
+                self._forget()
             if goal is None:
                 self._avoidance.clear()
                 self._followed, self._turns_for = None, ""
@@ -345,4 +346,4 @@ class ObstacleAvoidanceNode:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros obstacle_avoidance``."""
-    run("obstacle_avoidance", ObstacleAvoidanceNode)
+    run("obstacle_avoidance", ObstacleAvoidanceNode, dozes=True)

@@ -46,8 +46,9 @@ from hitchhike_ros.protocol.machine import NavigationReport
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.ros_io.conversions import estimate_from_msg, grid_from_msg, path_to_msg, pose_from_msg
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, Timer, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, run
 from hitchhike_ros.ros_io.parameters import node_parameters
+from hitchhike_ros.ros_io.timer import Timer
 
 _LEVEL = {"idle": OK, "waiting": WARN, "planned": OK, "failed": ERROR}
 
@@ -210,4 +211,4 @@ class PathPlanning:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros path_planning``."""
-    run("path_planning", PathPlanning)
+    run("path_planning", PathPlanning, dozes=True)

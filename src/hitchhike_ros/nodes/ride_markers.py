@@ -31,8 +31,9 @@ from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import Status, decode_status
 from hitchhike_ros.ros_io.conversions import pose_to_msg
-from hitchhike_ros.ros_io.node import Timer, run
+from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.timer import Timer
 from hitchhike_ros.simulation.world_file import load_world
 
 _GREEN, _ORANGE, _BLUE = (

@@ -87,16 +87,18 @@ from hitchhike_ros.ros_io.conversions import (
     quaternion_from_yaw,
     scan_from_msg,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, Timer, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
 from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
+from hitchhike_ros.ros_io.timer import Timer
 
 # Without a scan for longer than this, the diagnosis says so (chosen).
 _SILENCE_S = 0.3
 _WATCH_PERIOD_S = 0.1
 # The map is large and boxes grow with every scan: it is not published more often (chosen).
 _MAP_PERIOD_S = 1.0
-# How often the last map -> odom is repeated while localization is off (chosen: that costs next to nothing).
-_REPEAT_PERIOD_S = 1.0
+# How often the last map -> odom is repeated while localization is off, and how long each holds (chosen: that costs next
+# to nothing).
+_REPEAT_PERIOD_S, _REPEAT_HOLDS_S = 0.5, 1.0
 
 
 class Slam:
@@ -174,13 +176,13 @@ class Slam:
             if not self._switch.set(modules.LZN):
                 return
             if modules.LZN:
+                self._every(_WATCH_PERIOD_S, self._watch)
                 # Odometry from before the pause says nothing about the way since: the filter starts anew.
                 self._localizer = self._made
                 self._localizer.restart()
                 self._odometry_problem, self._scanned_at, self._left_out = "", rospy.get_time(), None
                 self._rest.wake()
                 self._start()
-                self._every(_WATCH_PERIOD_S, self._watch)
                 return
             self._every(_REPEAT_PERIOD_S, self._repeat)
             if self._localizer is not None and self._localizer.initialised:
@@ -347,7 +349,7 @@ class Slam:
     def _repeat(self) -> None:
         with self._lock:
             if self._localizer is None and self._T_map_odom is not None:
-                self._send_transform(rospy.get_time() + _REPEAT_PERIOD_S)
+                self._send_transform(rospy.get_time() + _REPEAT_HOLDS_S)
 
     def _send_transform(self, stamp: float) -> None:
         self._transforms.sendTransform(TransformStamped(header(stamp, "map"), self._odom_frame, self._T_map_odom))
@@ -394,4 +396,4 @@ def _static_map() -> OccupancyGrid:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros slam``."""
-    run("slam", Slam)
+    run("slam", Slam, dozes=True)

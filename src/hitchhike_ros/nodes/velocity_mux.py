@@ -29,8 +29,9 @@ from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.robot_model import RobotLimits
 from hitchhike_ros.ros_io.conversions import twist_from_msg, twist_to_msg
-from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, StatusListener, Timer, run
+from hitchhike_ros.ros_io.node import ERROR, OK, Diagnostics, StatusListener, run
 from hitchhike_ros.ros_io.parameters import node_parameters
+from hitchhike_ros.ros_io.timer import Timer
 
 
 class VelocityMuxNode:

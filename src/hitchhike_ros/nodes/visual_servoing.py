@@ -73,8 +73,9 @@ from hitchhike_ros.ros_io.conversions import (
     scan_from_msg,
     twist_to_msg,
 )
-from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, Timer, run
+from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
 from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
+from hitchhike_ros.ros_io.timer import Timer
 from hitchhike_ros.servoing.follow import Decision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.guard import Guard
@@ -229,9 +230,9 @@ class VisualServoing:
             self._laser.set(self._guard is not None and servo is not None and servo.task == "follow")
             if self._switch.set(servo is not None):
                 if servo is not None:
+                    self._timer = Timer(self._params.watch_period_s, self._watch)
                     self._info, self._lens, self._odometry_problem = None, "", ""
                     self._image_at = self._on_since = rospy.get_time()
-                    self._timer = Timer(self._params.watch_period_s, self._watch)
                 elif self._timer is not None:
                     self._timer.shutdown()
                     self._timer = None
@@ -428,4 +429,4 @@ class VisualServoing:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros visual_servoing``."""
-    run("visual_servoing", VisualServoing)
+    run("visual_servoing", VisualServoing, dozes=True)

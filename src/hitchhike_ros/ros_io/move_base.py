@@ -10,7 +10,7 @@ from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedb
 from hitchhike_ros.datatypes import Pose2D
 from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven
 from hitchhike_ros.ros_io.conversions import pose_from_msg, pose_stamped
-from hitchhike_ros.ros_io.node import Timer
+from hitchhike_ros.ros_io.timer import Timer
 
 
 class MoveBaseServer:

@@ -1,4 +1,4 @@
-"""What every node shares: a clean end on bad input, timers, switches, diagnostics and the answers of lock-step."""
+"""What every node shares: a clean end on bad input, switches, diagnostics and the answers of lock-step."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ from typing import Any
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
 from hitchhike_ros.errors import HitchhikeError, MessageError
 from hitchhike_ros.protocol.status import Status, decode_status
+from hitchhike_ros.ros_io.timer import clock
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-def run(name: str, build: Callable[[], object], *, keeps_time: bool = True) -> None:
+def run(name: str, build: Callable[[], object], *, dozes: bool = False) -> None:
     """Start node ``name``, build it and spin. Bad input ends it with one clear line and exit status 1.
 
-    A node that does not keep time has that of the system, simulated or not, and is not woken by each tick of a clock.
+    One that ``dozes`` hears a simulated clock now and then only, except while a timer of its runs (:mod:`.timer`).
     ``--help`` on the command line prints the docstring of the module that defines ``build``.
     """
     if {"-h", "--help"} & set(rospy.myargv(sys.argv)[1:]):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a pager may be left before the end
         print(sys.modules[build.__module__].__doc__)
         return
-    rospy.init_node(name, disable_rostime=not keeps_time)
+    rospy.init_node(name)
+    if dozes:
+        clock.doze()
     try:
         node = build()
     except HitchhikeError as exc:
@@ -40,36 +42,6 @@ def run(name: str, build: Callable[[], object], *, keeps_time: bool = True) -> N
         sys.exit(1)
     rospy.spin()
     del node
-
-
-class Timer:
-    """Calls back every ``period_s`` of ROS time, one call at a time; what was missed is not made up for.
-
-    On a simulated clock the message that moves it calls back, and waits for the callback: a timer of rospy sleeps in a
-    thread of its own that every tick wakes, due or not, which costs more than most of what is done at a tick.
-    """
-
-    def __init__(self, period_s: float, callback: Callable[[], object]) -> None:
-        self._callback, self._period = callback, rospy.Duration.from_sec(period_s)
-        self._due = rospy.Time.now() + self._period
-        self._stop: Callable[[], None]
-        if rospy.rostime.is_wallclock():
-            self._stop = rospy.Timer(self._period, lambda _event: callback(), reset=True).shutdown
-        else:
-            self._stop = rospy.Subscriber("/clock", Clock, self._tick, queue_size=1).unregister
-
-    def shutdown(self) -> None:
-        """Call back no more."""
-        self._stop()
-
-    def _tick(self, msg: Clock) -> None:
-        now, period = msg.clock, self._period
-        if self._due - period <= now < self._due:
-            return
-        in_time = self._due <= now < self._due + period
-        # It keeps its rate, unless a turn has been missed or time has jumped back.
-        self._due = (self._due if in_time else now) + period
-        self._callback()
 
 
 class Diagnostics:
