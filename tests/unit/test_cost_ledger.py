@@ -137,19 +137,6 @@ def test_the_run_is_from_the_goal_to_the_end(ridden: RideRecord, alone: RideReco
     assert run_window(idle) is None
 
 
-def test_without_simulated_time_each_node_costs_less_by_what_an_idle_one_does(
-    ridden: RideRecord, alone: RideRecord
-) -> None:
-    riding = next(c for c in compare(ridden, alone) if c.name == "riding")
-    for part, share in ((riding.rider, RIDING_SHARE), (riding.alone, ALONE_SHARE)):
-        both = (share - 0.01) + (0.02 - 0.01)  # slam's and hitchhike_comm's
-        assert part.work_s_per_metre == pytest.approx(both * part.seconds / part.metres)
-    assert riding.work_ratio == pytest.approx(riding.rider.work_s_per_metre / riding.alone.work_s_per_metre)
-    alone.cpu = [sample for sample in alone.cpu if sample.node != "/idle"]
-    assert figures_of(ridden, alone)["riding_cpu_ratio_without_simulated_time"].value is None
-    assert figures_of(ridden, alone)["riding_cpu_ratio"].value is not None
-
-
 def test_parts_of_the_run_leave_nothing_out(ridden: RideRecord) -> None:
     ride = find_ride(ridden)
     assert ride is not None

@@ -65,17 +65,13 @@ class ModuleCost:
 
 @dataclass(frozen=True)
 class Stretch:
-    """What a robot's nodes used between two simulated times in which it went so many metres.
-
-    ``idle_s`` is what :data:`IDLE_NODE` used meanwhile, CPU seconds: what simulated time costs a node.
-    """
+    """What a robot's nodes used between two simulated times in which it went so many metres."""
 
     name: str
     begin: float
     end: float
     metres: float
     modules: tuple[ModuleCost, ...]
-    idle_s: float | None = None
 
     @property
     def seconds(self) -> float:
@@ -88,13 +84,6 @@ class Stretch:
     @property
     def cpu_s_per_metre(self) -> float | None:
         return self.total.cpu_s / self.metres if self.metres > 0.0 and self.modules else None
-
-    @property
-    def work_s_per_metre(self) -> float | None:
-        """What the nodes used beyond that, as on a robot, where no time is simulated."""
-        if self.idle_s is None or not self.metres > 0.0 or not self.modules:
-            return None
-        return sum(max(0.0, cost.cpu_s - self.idle_s) for cost in self.modules) / self.metres
 
     def module(self, name: str) -> ModuleCost | None:
         """What one module used."""
@@ -113,11 +102,6 @@ class Comparison:
     def ratio(self) -> float | None:
         """CPU per metre as a rider by that alone."""
         return _by(self.rider.cpu_s_per_metre, self.alone.cpu_s_per_metre)
-
-    @property
-    def work_ratio(self) -> float | None:
-        """The same without what simulated time costs on either side."""
-        return _by(self.rider.work_s_per_metre, self.alone.work_s_per_metre)
 
     def module_ratio(self, name: str) -> float | None:
         """The same of one module."""
@@ -151,7 +135,7 @@ def stretch(record: RideRecord, robot: str, name: str, window: Window) -> Stretc
     """What ``robot`` used and how far it went."""
     modules = tuple(cost for cost in module_costs(record, window) if cost.robot == robot)
     metres = metres_driven(record.robots[robot], window)
-    return Stretch(name, *window, metres, modules, _idle(record, window))
+    return Stretch(name, *window, metres, modules)
 
 
 def ride_steps(record: RideRecord, ride: Ride) -> list[Stretch]:
@@ -237,8 +221,6 @@ def cost_figures(ridden: RideRecord, alone: RideRecord) -> list[Figure]:
         for side, part in zip(("rider", "alone"), sides, strict=True):
             figures.append(Figure(f"{key}_cpu_{side}", part.cpu_s_per_metre if part is not None else None, "s/m"))
         figures.append(Figure(f"{key}_cpu_ratio", comparison.ratio if comparison is not None else None, "", bound))
-        work = comparison.work_ratio if comparison is not None else None
-        figures.append(Figure(f"{key}_cpu_ratio_without_simulated_time", work, ""))
     own = found.get("ride")
     for name, key, scale in (("memory_peak", "peak_mb", 1.0), ("bytes_in", "bytes_in", 1e-6)):
         for side in ("rider", "alone"):
@@ -294,12 +276,6 @@ def _cpu(record: RideRecord, node: str, window: Window) -> tuple[float, float] |
         return None
     used = np.interp(window, [s.stamp for s in samples], [s.cpu_s for s in samples])
     return float(used[1] - used[0]), window[1] - window[0]
-
-
-def _idle(record: RideRecord, window: Window) -> float | None:
-    """CPU seconds of the idle node, which costs the same all the time; None where it was seen for less than half."""
-    used = _between([(sample.stamp, sample.cpu_s) for sample in record.cpu if sample.node == IDLE_NODE], window)
-    return None if used is None else used[0]
 
 
 def _cost(
