@@ -30,25 +30,24 @@ situations = st.tuples(
 
 
 @pytest.mark.parametrize(
-    ("published", "following", "quiet"),
+    ("published", "following", "left_out"),
     [
-        (None, "", False),
-        (IDLE, "", True),
-        (RIDING, "following", True),
-        *((RIDING, f, False) for f in ("", "coasting", "looking", "turning", "searching", "stopped")),
-        (Status(0.0, "r", role="hitchhiker", state="seeking", servo=FOLLOW), "following", False),
-        (Status(0.0, "r", role="hitchhiker", state="coupling", servo=FOLLOW), "following", False),
-        (Status(0.0, "r", role="hitchhiker", state="requesting"), "", True),
-        (DRIVING, "", False),
-        (Status(0.0, "r", role="driver", state="aligning", goal=GOAL, servo=OBSERVE), "", False),
-        (Status(0.0, "r", servo=OBSERVE), "", False),
+        (None, "", 0),
+        (IDLE, "", 1),
+        (RIDING, "following", 2),
+        *((RIDING, f, 0) for f in ("", "coasting", "looking", "turning", "searching", "stopped")),
+        (Status(0.0, "r", role="hitchhiker", state="seeking", servo=FOLLOW), "following", 0),
+        (Status(0.0, "r", role="hitchhiker", state="coupling", servo=FOLLOW), "following", 0),
+        (Status(0.0, "r", role="hitchhiker", state="requesting"), "", 1),
+        (DRIVING, "", 0),
+        (Status(0.0, "r", role="driver", state="aligning", goal=GOAL, servo=OBSERVE), "", 0),
+        (Status(0.0, "r", servo=OBSERVE), "", 0),
     ],
 )
-def test_of_three_steps_one_is_made_while_nothing_happens(
-    published: Status | None, following: str, quiet: bool
-) -> None:
+def test_steps_are_left_out_while_nothing_happens(published: Status | None, following: str, left_out: int) -> None:
     pace = Pace()
-    assert [pace.leaves_out(published, following, False) for _ in range(6)] == [quiet, quiet, False] * 2
+    once = [*(True,) * left_out, False]
+    assert [pace.leaves_out(published, following, False) for _ in range(3 * len(once))] == 3 * once
 
 
 @given(st.lists(situations, max_size=30))

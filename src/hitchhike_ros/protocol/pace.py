@@ -1,16 +1,16 @@
-"""How often a robot decides: at every step, or at every third one while nothing happens."""
+"""How often a robot decides: at every step, or at every second or third one while nothing happens."""
 
 from __future__ import annotations
 
 from hitchhike_ros.protocol.status import Status
 
-# So many steps in succession may be left out (chosen: with ten steps a second, what only time tells is noticed 0.3 s
-# later at most; servoing stops a robot by itself).
-_LEFT_OUT = 2
+# How many steps in succession, of ten a second, are left out where a robot rides with its driver in sight, and where it
+# has nothing to do or asks for a ride: who drives past is asked each second, of which three steps are no part (chosen).
+_RIDING, _IDLE = 2, 1
 
 
 class Pace:
-    """Says of each step in turn whether it is left out; never of more than two in succession."""
+    """Says of each step in turn whether it is left out."""
 
     def __init__(self) -> None:
         self._left_out = 0  # steps in succession
@@ -23,14 +23,15 @@ class Pace:
             following: what servoing says that it does to follow, as :attr:`Status.following`.
             waiting: whether there are events that no step has taken yet.
         """
-        leaves_out = self._left_out < _LEFT_OUT and not waiting and _is_quiet(published, following)
+        leaves_out = not waiting and self._left_out < _may_leave_out(published, following)
         self._left_out = self._left_out + 1 if leaves_out else 0
         return leaves_out
 
 
-def _is_quiet(published: Status | None, following: str) -> bool:
-    """Whether the robot rides, with its driver in sight, or has nothing to do."""
+def _may_leave_out(published: Status | None, following: str) -> int:
+    """How many steps in succession."""
     if published is None:
-        return False
-    follows = published.state == "riding" and following == "following"
-    return follows or (published.goal is None and published.servo is None)
+        return 0
+    if published.state == "riding" and following == "following":
+        return _RIDING
+    return _IDLE if published.goal is None and published.servo is None else 0
