@@ -97,6 +97,13 @@ def test_a_denial_as_it_should_be() -> None:
 
 def test_a_denial_for_another_reason_or_a_ride_is_trouble() -> None:
     assert "never denied" in judged(DENIED, denied_record("High priority")).trouble
+
+
+def test_who_is_denied_at_the_tick_at_which_it_asks_has_not_waited():
+    record = denied_record()
+    robot = record.robots["turtlebot"]
+    robot.statuses = [replace(s, time_stamp=RELEASED) if s.state == "requesting" else s for s in robot.statuses]
+    assert figure(judged(DENIED, record), "wait").value == 0.0
     assert judged(DENIED, synthetic_ride()).trouble != ""
 
 

@@ -174,10 +174,10 @@ def _of_ride(expected: ExpectedRide, ride: NetworkRide | None, taken: Steps) -> 
 
 def _denial_figures(record: RideRecord, denial: ExpectedDenial) -> list[Figure]:
     statuses = record.robots[denial.hitchhiker].statuses
-    asked = next((s.time_stamp for s in statuses if s.state == "requesting"), None)
-    gone = next(
-        (s.time_stamp for s in statuses if asked is not None and s.time_stamp > asked and s.role == "none"), None
-    )
+    # In the order in which they came: both may be of one tick.
+    since = iter(statuses)
+    asked = next((s.time_stamp for s in since if s.state == "requesting"), None)
+    gone = next((s.time_stamp for s in since if s.role == "none"), None)
     waited = None if asked is None or gone is None else gone - asked
     return [
         Figure("wait", waited, "s", denial.paper_wait_s, peer=denial.paper_wait_s),
