@@ -7,6 +7,6 @@ setup(
     **generate_distutils_setup(
         packages=find_packages("src"),
         package_dir={"": "src"},
-        package_data={"hitchhike_ros.experiments": ["templates/*"]},
+        package_data={"hitchhike_ros.experiments.report": ["templates/*"]},
     )
 )

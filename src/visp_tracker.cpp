@@ -2,7 +2,7 @@
 //
 // Only hitchhike_ros.servoing imports this module. It takes the image where NumPy has it (no copy),
 // releases the interpreter's lock while ViSP works, and turns every C++ exception into a subclass of
-// hitchhike_ros.errors.VisionError.
+// hitchhike_ros.core.errors.VisionError.
 
 #include <mutex>
 #include <string>
@@ -91,7 +91,7 @@ private:
 
 PYBIND11_MODULE(_visp_tracker, m) {
   m.doc() = "AprilTags and squares by ViSP and by lines, on NumPy images in place, and their poses.";
-  const py::object base = py::module_::import("hitchhike_ros.errors").attr("VisionError");
+  const py::object base = py::module_::import("hitchhike_ros.core.errors").attr("VisionError");
   py::register_exception<InvalidInput>(m, "InvalidInputError", base);
   py::register_exception<vpException>(m, "VispError", base);
 

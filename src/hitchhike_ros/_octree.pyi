@@ -1,4 +1,4 @@
-from hitchhike_ros.datatypes import FloatArray
+from hitchhike_ros.core.datatypes import FloatArray
 
 class Tree:
     def __init__(self, resolution_m: float) -> None: ...

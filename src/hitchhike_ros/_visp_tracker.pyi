@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray
-from hitchhike_ros.errors import VisionError
+from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.core.errors import VisionError
 
 class InvalidInputError(VisionError): ...
 class VispError(VisionError): ...

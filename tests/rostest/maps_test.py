@@ -12,7 +12,7 @@ import rostest
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from nav_msgs.srv import GetMap
 
-from hitchhike_ros.datatypes import Pose2D
+from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.mapping import grid as grids
 from hitchhike_ros.mapping.map_file import save_map
 from hitchhike_ros.ros_io.conversions import grid_from_msg

@@ -18,8 +18,8 @@ from std_msgs.msg import String
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import Watch
 
-from hitchhike_ros.datatypes import Pose2D
-from hitchhike_ros.geometry import distance, wrap_angle
+from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.core.geometry import distance, wrap_angle
 from hitchhike_ros.ros_io.conversions import pose_from_msg, pose_stamped
 
 RESULT = "/turtlebot/move_base/result"

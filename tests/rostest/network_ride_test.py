@@ -14,17 +14,17 @@ import rostest
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import credits_of_this_run
 
-from hitchhike_ros.datatypes import HitchhikingPoint, Pose2D
-from hitchhike_ros.experiments.network_rides import NetworkRide, network_rides
-from hitchhike_ros.experiments.ride_figures import (
+from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D
+from hitchhike_ros.core.geometry import distance
+from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
+from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, network_rides
+from hitchhike_ros.experiments.scoring.ride_figures import (
     MAX_GAP_RMS_M,
     MAX_HANDOVER_DEG,
     MAX_HANDOVER_M,
     MAX_HANDOVER_SIGMA,
     poses_at,
 )
-from hitchhike_ros.experiments.ride_record import RideRecord, load_record
-from hitchhike_ros.geometry import distance
 from hitchhike_ros.protocol.messages import Lock, Message, Request, decode
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import ModuleSwitches

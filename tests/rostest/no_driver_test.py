@@ -13,8 +13,8 @@ from std_msgs.msg import String
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import Watch
 
-from hitchhike_ros.datatypes import Pose2D
-from hitchhike_ros.geometry import distance, wrap_angle
+from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.core.geometry import distance, wrap_angle
 from hitchhike_ros.protocol.messages import Accept, Request
 
 GOAL = Pose2D(25.0, 2.5, -math.pi / 2)  # as in the world file

@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import Watch
 
-from hitchhike_ros.geometry import distance
+from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.ros_io.conversions import estimate_from_msg
 
 

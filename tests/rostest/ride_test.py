@@ -22,12 +22,12 @@ from nav_msgs.msg import Odometry
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import Watch, credits_of_this_run
 
-from hitchhike_ros.datatypes import PoseEstimate
-from hitchhike_ros.geometry import distance
+from hitchhike_ros.core.datatypes import PoseEstimate
+from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.protocol.messages import Accept, Ack, Aligned, Coupled, Decouple, Driver, Lock, Request
 from hitchhike_ros.protocol.status import ModuleSwitches
 from hitchhike_ros.simulation.composed import ComposedRide
-from hitchhike_ros.simulation.world import World
+from hitchhike_ros.simulation.physics.world import World
 
 PACKAGE = Path(rospkg.RosPack().get_path("hitchhike_ros"))
 DEADLINE_S = 800

@@ -18,7 +18,7 @@ from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int8, String
 
-from hitchhike_ros.datatypes import CameraInfo, Odometry, Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import CameraInfo, Odometry, Pose2D, Twist2D
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import ModuleSwitches, ServoCommand, Status, encode_status
 from hitchhike_ros.ros_io.conversions import camera_info_to_msg, image_to_msg, odometry_to_msg

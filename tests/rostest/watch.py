@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from std_msgs.msg import String
 
-from hitchhike_ros.datatypes import Pose2D
-from hitchhike_ros.errors import MessageError
+from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.core.errors import MessageError
 from hitchhike_ros.protocol.award_ledger import AwardLedger, Credit
 from hitchhike_ros.protocol.messages import Message, decode
 from hitchhike_ros.protocol.status import Status, decode_status

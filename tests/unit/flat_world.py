@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, LaserScan, Pose2D, Twist2D
-from hitchhike_ros.geometry import compose
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, Twist2D
+from hitchhike_ros.core.geometry import compose
+from hitchhike_ros.core.robot_model import RobotLimits
 
 P3DX = RobotLimits(
     wheel_separation_m=0.316,

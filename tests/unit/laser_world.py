@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from flat_world import cast
 
-from hitchhike_ros.datatypes import FloatArray, LaserScan, Obstacle, Odometry, Pose2D, Twist2D
-from hitchhike_ros.geometry import compose, wrap_angle
+from flat_world import cast
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Obstacle, Odometry, Pose2D, Twist2D
+from hitchhike_ros.core.geometry import compose, wrap_angle
 from hitchhike_ros.localization.motion import move
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.simulation.walls import merge_cells
+from hitchhike_ros.simulation.physics.walls import merge_cells
 
 LASER = Pose2D(0.17, 0.0, 0.0)
 PERIOD_S = 0.1

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hitchhike_ros.datatypes import CameraInfo, FloatArray
+from hitchhike_ros.core.datatypes import CameraInfo, FloatArray
 
 VISP_DATA = Path("/usr/share/visp-images-data/ViSP-images/AprilTag")
 CAMERA = CameraInfo(640, 480, np.array([[554.26, 0.0, 319.5], [0.0, 554.26, 239.5], [0.0, 0.0, 1.0]]))

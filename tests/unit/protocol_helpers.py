@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchhike_ros.datatypes import (
+from hitchhike_ros.core.datatypes import (
     FloatArray,
     HitchhikingPoint,
     Marker,
@@ -18,8 +18,8 @@ from hitchhike_ros.datatypes import (
     PoseEstimate,
 )
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.driver import DriverMachine, DriverState
-from hitchhike_ros.protocol.hitchhiker import HitchhikerMachine, HitchhikerState
+from hitchhike_ros.protocol.driver.machine import DriverMachine, DriverState
+from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine, HitchhikerState
 from hitchhike_ros.protocol.machine import Effect, GoalGiven, Machine, NavigationReport, Send, Situation, Tick
 from hitchhike_ros.protocol.matching import Planner
 from hitchhike_ros.protocol.messages import (

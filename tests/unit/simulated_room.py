@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from hitchhike_ros.datatypes import Pose2D
+from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.map_file import save_map
-from hitchhike_ros.simulation.world import World, WorldParameters
+from hitchhike_ros.simulation.physics.world import World, WorldParameters
 
 PACKAGE = Path(__file__).resolve().parents[2]
 RESOLUTION = 0.05

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchhike_ros.datatypes import Obstacle, Pose2D
-from hitchhike_ros.experiments.ride_record import (
+from hitchhike_ros.core.datatypes import Obstacle, Pose2D
+from hitchhike_ros.experiments.scenarios.ride_record import (
     ClockSample,
     CpuSample,
     RideRecord,
@@ -13,7 +13,7 @@ from hitchhike_ros.experiments.ride_record import (
     TimedEstimate,
     TimedPose,
 )
-from hitchhike_ros.protocol.driver import ARRIVED
+from hitchhike_ros.protocol.driver.machine import ARRIVED
 from hitchhike_ros.protocol.machine import Award
 from hitchhike_ros.protocol.status import ModuleSwitches, RideStatus, ServoCommand, Status
 

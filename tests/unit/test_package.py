@@ -108,8 +108,11 @@ def test_a_script_calls_the_main_of_its_node(script: Path) -> None:
     """It starts with the interpreter that ROS has, not with whichever python3 comes first on PATH."""
     assert os.access(script, os.X_OK)
     lines = script.read_text(encoding="utf-8").split("\n")
-    assert lines[:3] == ["#!/usr/bin/python3", f"from hitchhike_ros.nodes.{script.name} import main", ""]
+    imported = re.fullmatch(r"from hitchhike_ros\.((?:nodes\.(?:robot|sim)|commands)\.\w+) import main", lines[1])
+    assert (lines[0], lines[2]) == ("#!/usr/bin/python3", "")
+    assert imported, lines[1]
     guarded = ["# Worker processes load this file too.", 'if __name__ == "__main__":', "    main()", ""]
     assert lines[3:] == (guarded if script.name in ("bench", "experiments") else ["main()", ""])
-    module = ast.parse((ROOT / "src" / "hitchhike_ros" / "nodes" / f"{script.name}.py").read_text(encoding="utf-8"))
+    path = ROOT.joinpath("src", "hitchhike_ros", *imported[1].split(".")).with_suffix(".py")
+    module = ast.parse(path.read_text(encoding="utf-8"))
     assert "main" in {node.name for node in module.body if isinstance(node, ast.FunctionDef)}

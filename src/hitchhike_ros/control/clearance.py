@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from hitchhike_ros.datatypes import FloatArray
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.core.robot_model import RobotLimits
 
 _CELL_M = 0.05
 _X_MIN_M, _X_MAX_M, _Y_MAX_M = -1.6, 3.2, 2.4  # more ahead than behind

@@ -8,8 +8,8 @@ import numpy as np
 
 from hitchhike_ros.control.clearance import ClearanceField
 from hitchhike_ros.control.reference_path import ReferencePath
-from hitchhike_ros.datatypes import FloatArray, Pose2D
-from hitchhike_ros.geometry import inverse, transform_points
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.geometry import inverse, transform_points
 
 _STATION_M = 0.12  # along the path
 _LANE_M = 0.08  # across it

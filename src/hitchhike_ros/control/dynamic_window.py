@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Twist2D
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import FloatArray, Twist2D
+from hitchhike_ros.core.robot_model import RobotLimits
 
 
 def window(

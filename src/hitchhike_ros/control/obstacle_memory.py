@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from hitchhike_ros.control.clearance import Footprint
-from hitchhike_ros.datatypes import FloatArray, LaserScan, Pose2D
-from hitchhike_ros.errors import SensorDataError
-from hitchhike_ros.geometry import compose, inverse, transform_points
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D
+from hitchhike_ros.core.errors import SensorDataError
+from hitchhike_ros.core.geometry import compose, inverse, transform_points
 
 _REACH_M = 4.0  # farther points do not matter to a local controller
 _SEE_THROUGH_M = 0.1  # a beam that ends this much behind a remembered point has shown that the point is gone

@@ -5,8 +5,8 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 
-from hitchhike_ros.datatypes import Odometry, Pose2D, Twist2D
-from hitchhike_ros.geometry import between, compose, wrap_angle
+from hitchhike_ros.core.datatypes import Odometry, Pose2D, Twist2D
+from hitchhike_ros.core.geometry import between, compose, wrap_angle
 
 _KEPT_S = 2.0
 _EXTRAPOLATED_S = 0.15  # odometry and scan of one moment may arrive in either order

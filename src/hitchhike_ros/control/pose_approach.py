@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D, Twist2D
-from hitchhike_ros.geometry import inverse, wrap_angles
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Twist2D
+from hitchhike_ros.core.geometry import inverse, wrap_angles
+from hitchhike_ros.core.robot_model import RobotLimits
 
 PERIOD_S = 0.1
 _STEPS = 100

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray
-from hitchhike_ros.errors import PlanningError
+from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.core.errors import PlanningError
 
 _TANGENT_REACH_M = 0.2  # tangents are taken over this length to both sides, so a grid path's stairs do not shake them
 

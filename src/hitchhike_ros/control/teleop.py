@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from hitchhike_ros.datatypes import NonNegative, Positive, Twist2D
+from hitchhike_ros.core.datatypes import NonNegative, Positive, Twist2D
 
 Key = Literal["forward", "back", "left", "right", "stop", "faster", "slower", "release", "quit"]
 Index = Annotated[int, msgspec.Meta(ge=0)]

@@ -6,8 +6,8 @@ from collections import deque
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D
-from hitchhike_ros.geometry import distance
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.geometry import distance
 
 _STEP_M, _JUMP_M = 0.1, 0.4
 

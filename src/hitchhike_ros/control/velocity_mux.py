@@ -9,8 +9,8 @@ from typing import Annotated, Literal, get_args
 
 import msgspec
 
-from hitchhike_ros.datatypes import Hands, Positive, Twist2D
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import Hands, Positive, Twist2D
+from hitchhike_ros.core.robot_model import RobotLimits
 
 Source = Literal["teleop", "servoing", "navigation"]
 SOURCES: tuple[Source, ...] = get_args(Source)  # most important first

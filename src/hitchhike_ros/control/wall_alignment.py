@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.datatypes import LaserScan, Pose2D, Positive, Side
-from hitchhike_ros.errors import PlanningError
-from hitchhike_ros.geometry import wrap_angle
+from hitchhike_ros.core.datatypes import LaserScan, Pose2D, Positive, Side
+from hitchhike_ros.core.errors import PlanningError
+from hitchhike_ros.core.geometry import wrap_angle
 from hitchhike_ros.localization.landmarks import CornerParameters, extract_lines
 from hitchhike_ros.mapping.laser import LaserNoise, end_points
 

@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.geometry import compose, distance, wrap_angle
+from hitchhike_ros.core.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.core.geometry import compose, distance, wrap_angle
 
 # The stretch that is compared: longer ones gather drift of the odometry, shorter ones do not fix the heading.
 _WINDOW_M, _SHORTEST_M, _FEWEST = 4.0, 1.0, 5

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Marker, MarkerObservation, Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import FloatArray, Marker, MarkerObservation, Pose2D, Twist2D
 from hitchhike_ros.localization.ekf import Ekf, LandmarkObservation
 from hitchhike_ros.localization.landmarks import map_corners, scan_corners
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters

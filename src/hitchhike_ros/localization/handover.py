@@ -7,8 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.geometry import compose, compose_jacobians, inverse, inverse_jacobian, wrap_angle
+from hitchhike_ros.core.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.core.geometry import compose, compose_jacobians, inverse, inverse_jacobian, wrap_angle
 
 Method = Literal["paper", "measured"]
 

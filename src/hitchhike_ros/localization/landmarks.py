@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Positive
-from hitchhike_ros.geometry import transform_points
+from hitchhike_ros.core.datatypes import FloatArray, Positive
+from hitchhike_ros.core.geometry import transform_points
 from hitchhike_ros.localization.ekf import LandmarkObservation, Landmarks
 from hitchhike_ros.mapping.grid import UNKNOWN, OccupancyGrid
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise

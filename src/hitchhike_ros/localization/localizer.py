@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hitchhike_ros.datatypes import (
+from hitchhike_ros.core.datatypes import (
     FloatArray,
     LaserScan,
     Marker,
@@ -19,8 +19,8 @@ from hitchhike_ros.datatypes import (
     Twist2D,
     UnitInterval,
 )
-from hitchhike_ros.errors import SensorDataError
-from hitchhike_ros.geometry import compose, compose_jacobians, inverse
+from hitchhike_ros.core.errors import SensorDataError
+from hitchhike_ros.core.geometry import compose, compose_jacobians, inverse
 from hitchhike_ros.localization.ekf import EkfParameters, check_gaussian
 from hitchhike_ros.localization.landmarks import CornerParameters
 from hitchhike_ros.localization.odometry_track import OdometryTrack, OdometryTrackParameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from hitchhike_ros.datatypes import Marker, Pose2D
+from hitchhike_ros.core.datatypes import Marker, Pose2D
 from hitchhike_ros.localization.ekf_localizer import EkfLocalizer
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.particle_localizer import ParticleLocalizer

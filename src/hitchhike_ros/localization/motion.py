@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive, Twist2D
-from hitchhike_ros.geometry import between, wrap_angle
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Pose2D, Positive, Twist2D
+from hitchhike_ros.core.geometry import between, wrap_angle
 
 
 @dataclass(frozen=True)

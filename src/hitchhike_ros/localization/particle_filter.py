@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D, Positive, Twist2D, UnitInterval
-from hitchhike_ros.geometry import wrap_angles
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Positive, Twist2D, UnitInterval
+from hitchhike_ros.core.geometry import wrap_angles
 from hitchhike_ros.localization.motion import MotionNoise
 
 Count = Annotated[int, msgspec.Meta(ge=2)]

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Marker, MarkerObservation, Pose2D, Twist2D
-from hitchhike_ros.geometry import wrap_angles
+from hitchhike_ros.core.datatypes import FloatArray, Marker, MarkerObservation, Pose2D, Twist2D
+from hitchhike_ros.core.geometry import wrap_angles
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.particle_filter import ParticleFilter
 from hitchhike_ros.localization.scan_alignment import ScanAlignment, Sight, spread

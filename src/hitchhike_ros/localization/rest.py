@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hitchhike_ros.datatypes import Positive, Twist2D
+from hitchhike_ros.core.datatypes import Positive, Twist2D
 
 # A robot stands when it is slower than this, in m/s and rad/s (chosen).
 _STANDS = 1e-3

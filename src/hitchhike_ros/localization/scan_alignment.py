@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D, Positive, UnitInterval
-from hitchhike_ros.geometry import transform_points
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Positive, UnitInterval
+from hitchhike_ros.core.geometry import transform_points
 from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise
 

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from hitchhike_ros.datatypes import FloatArray
-from hitchhike_ros.geometry import inverse, transform_points
+from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.core.geometry import inverse, transform_points
 from hitchhike_ros.mapping.grid import UNKNOWN, OccupancyGrid, distance_to
 
 BoolArray = npt.NDArray[np.bool_]

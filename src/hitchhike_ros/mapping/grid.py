@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, Obstacle, Pose2D
-from hitchhike_ros.geometry import inverse, transform_points
+from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D
+from hitchhike_ros.core.geometry import inverse, transform_points
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 

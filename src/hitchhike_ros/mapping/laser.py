@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, LaserScan, Pose2D, Positive
-from hitchhike_ros.errors import SensorDataError
-from hitchhike_ros.geometry import transform_points
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, Positive
+from hitchhike_ros.core.errors import SensorDataError
+from hitchhike_ros.core.geometry import transform_points
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from hitchhike_ros.datatypes import Pose2D, Positive, UnitInterval
-from hitchhike_ros.errors import MapFileError
+from hitchhike_ros.core.datatypes import Pose2D, Positive, UnitInterval
+from hitchhike_ros.core.errors import MapFileError
+from hitchhike_ros.core.parameters import convert, read_yaml
 from hitchhike_ros.mapping.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from hitchhike_ros.parameters import convert, read_yaml
 
 Mode = Literal["trinary", "scale", "raw"]
 

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, LaserScan, NonNegative, Obstacle, Pose2D, PoseEstimate, Positive
-from hitchhike_ros.geometry import compose, distance, transform_points
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, NonNegative, Obstacle, Pose2D, PoseEstimate, Positive
+from hitchhike_ros.core.geometry import compose, distance, transform_points
 from hitchhike_ros.mapping.grid import FREE, OccupancyGrid, distance_to
 from hitchhike_ros.mapping.laser import LaserNoise, check_scan, end_points, passed_through
 from hitchhike_ros.mapping.seen_through import SeenThrough

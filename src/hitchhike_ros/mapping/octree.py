@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hitchhike_ros import _octree
-from hitchhike_ros.datatypes import CameraInfo, FloatArray, Positive
-from hitchhike_ros.errors import MapFileError, SensorDataError
+from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, Positive
+from hitchhike_ros.core.errors import MapFileError, SensorDataError
 
 # What OctoMap's own reader asks for; comments may follow.
 _FIRST_LINE = b"# Octomap OcTree binary file"

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, LaserScan, Obstacle, Pose2D
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Obstacle, Pose2D
 from hitchhike_ros.mapping.grid import FREE, OccupancyGrid
 from hitchhike_ros.mapping.laser import LaserNoise, passed_through
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hitchhike_ros.datatypes import HitchhikingPoint, Marker
-from hitchhike_ros.errors import WorldFileError
-from hitchhike_ros.geometry import point_in_polygon
-from hitchhike_ros.parameters import convert, read_yaml
+from hitchhike_ros.core.datatypes import HitchhikingPoint, Marker
+from hitchhike_ros.core.errors import WorldFileError
+from hitchhike_ros.core.geometry import point_in_polygon
+from hitchhike_ros.core.parameters import convert, read_yaml
 
 T = TypeVar("T")
 

@@ -1,1 +1,1 @@
-"""One module a node."""
+"""One module a node, for robots and for simulations."""

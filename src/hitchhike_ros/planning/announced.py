@@ -11,8 +11,8 @@ from numbers import Integral, Real
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative, Positive
-from hitchhike_ros.errors import ItineraryInputError
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive
+from hitchhike_ros.core.errors import ItineraryInputError
 
 _FARTHEST_M = 1e6  # beyond the largest map: sums of squares of whatever is nearer stay exact enough
 

@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import NonNegative, Positive
+from hitchhike_ros.core.datatypes import NonNegative, Positive
+from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.mapping.grid import OccupancyGrid, distance_to
 from hitchhike_ros.planning.astar import CostArray
-from hitchhike_ros.robot_model import RobotLimits
 
 
 @dataclass(frozen=True)

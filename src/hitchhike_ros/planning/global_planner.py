@@ -8,13 +8,13 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D
-from hitchhike_ros.errors import GoalBlockedError, OutsideMapError, StartBlockedError, UnreachableError
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.errors import GoalBlockedError, OutsideMapError, StartBlockedError, UnreachableError
+from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.mapping.grid import CellArray, OccupancyGrid
 from hitchhike_ros.planning.astar import Cell, CostArray
 from hitchhike_ros.planning.costmap import Costmap, CostmapParameters, build_costmap, label_regions
 from hitchhike_ros.planning.dstar_lite import RepairedSearch
-from hitchhike_ros.robot_model import RobotLimits
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ import msgspec
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative
-from hitchhike_ros.errors import ItineraryInputError, UnreachableError
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative
+from hitchhike_ros.core.errors import ItineraryInputError, UnreachableError
 from hitchhike_ros.planning.announced import AnnouncedDriver, IndexArray, RideRules, Rides, possible_rides
 
 Point = tuple[float, float]

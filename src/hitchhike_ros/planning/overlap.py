@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D
-from hitchhike_ros.geometry import path_length
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.geometry import path_length
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D, PoseEstimate, Positive
-from hitchhike_ros.errors import PlanningError
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, PoseEstimate, Positive
+from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.planning.global_planner import GlobalPlanner
 

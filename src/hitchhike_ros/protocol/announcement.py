@@ -11,7 +11,7 @@ import math
 import cv2
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.planning.announced import AnnouncedDriver
 from hitchhike_ros.protocol.messages import Waypoint, Waypoints
 

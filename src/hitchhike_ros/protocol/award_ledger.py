@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
-from hitchhike_ros.errors import CreditError, LedgerError, LedgerFormatError
+from hitchhike_ros.core.errors import CreditError, LedgerError, LedgerFormatError
 
 FILE_NAME = "hitchhike_awards.sqlite"
 _EXPECTED = "an award ledger of hitchhike_ros"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 
-from hitchhike_ros.errors import MessageError
+from hitchhike_ros.core.errors import MessageError
 from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, MapMessage, Message, decode
 
 # So many of its own messages a robot knows again when they come back to it (chosen).

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, ClassVar, Generic, TypeVar
 
-from hitchhike_ros.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
-from hitchhike_ros.errors import TransitionError
+from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
+from hitchhike_ros.core.errors import TransitionError
 from hitchhike_ros.protocol.messages import Message
 
 S = TypeVar("S", bound=Enum)

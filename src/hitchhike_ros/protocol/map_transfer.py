@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from hitchhike_ros.datatypes import Positive
+from hitchhike_ros.core.datatypes import Positive
 from hitchhike_ros.protocol.messages import (
     LARGEST_MAP,
     LARGEST_PACKED,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, HitchhikingPoint, Pose2D
-from hitchhike_ros.errors import ItineraryInputError, PlanningError, UnreachableError
-from hitchhike_ros.geometry import compose, distance, path_length
+from hitchhike_ros.core.datatypes import FloatArray, HitchhikingPoint, Pose2D
+from hitchhike_ros.core.errors import ItineraryInputError, PlanningError, UnreachableError
+from hitchhike_ros.core.geometry import compose, distance, path_length
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, usable_drivers
 from hitchhike_ros.planning.itinerary import (

@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import NonNegative, Obstacle, Pose2D, Positive
-from hitchhike_ros.errors import MessageError
+from hitchhike_ros.core.datatypes import NonNegative, Obstacle, Pose2D, Positive
+from hitchhike_ros.core.errors import MessageError
 
 VERSION = 1
 EVERYBODY = "*"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hitchhike_ros.datatypes import Pose2D
+from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.protocol.messages import Beacon, Message, PoseFields
 from hitchhike_ros.protocol.status import KnownRobot
 

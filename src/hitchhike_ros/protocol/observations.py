@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from hitchhike_ros.datatypes import MarkerObservation, Pose2D
-from hitchhike_ros.errors import MessageError
+from hitchhike_ros.core.datatypes import MarkerObservation, Pose2D
+from hitchhike_ros.core.errors import MessageError
 from hitchhike_ros.protocol.messages import Covariance, covariance_rows
 
 

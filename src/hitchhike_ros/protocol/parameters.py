@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative, Positive
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive
 from hitchhike_ros.protocol.messages import Priority, Profile
 
 TIME_CRITICAL_PRIORITY = 16  # P18 §2.1: 16-20 neither gives nor takes a ride

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from hitchhike_ros.datatypes import Hands, NonNegative, Pose2D, Positive, Side
-from hitchhike_ros.errors import MessageError
+from hitchhike_ros.core.datatypes import Hands, NonNegative, Pose2D, Positive, Side
+from hitchhike_ros.core.errors import MessageError
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import rospkg
 import rospy
 
-from hitchhike_ros.errors import CreditError, LedgerError, ParameterError
+from hitchhike_ros.core.errors import CreditError, LedgerError, ParameterError
 from hitchhike_ros.protocol.award_ledger import FILE_NAME, AwardLedger, Credit
 from hitchhike_ros.protocol.machine import Award
 

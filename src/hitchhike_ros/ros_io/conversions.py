@@ -26,8 +26,8 @@ from sensor_msgs.msg import Image
 from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import Header
 
-from hitchhike_ros.datatypes import CameraInfo, FloatArray, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
-from hitchhike_ros.errors import SensorDataError
+from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 
 # Rows and columns of (x, y, yaw) in a ROS 6 x 6 covariance.

@@ -7,7 +7,7 @@ import rospy
 from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback
 
-from hitchhike_ros.datatypes import Pose2D
+from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven
 from hitchhike_ros.ros_io.conversions import pose_from_msg, pose_stamped
 from hitchhike_ros.ros_io.timer import Timer

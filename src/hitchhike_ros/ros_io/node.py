@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
-from hitchhike_ros.errors import HitchhikeError, MessageError
+from hitchhike_ros.core.errors import HitchhikeError, MessageError
 from hitchhike_ros.protocol.status import Status, decode_status
 from hitchhike_ros.ros_io.timer import clock
 

@@ -10,8 +10,8 @@ from typing import TypeVar
 import rosgraph.names
 import rospy
 
-from hitchhike_ros.errors import ParameterError
-from hitchhike_ros.parameters import load_parameters
+from hitchhike_ros.core.errors import ParameterError
+from hitchhike_ros.core.parameters import load_parameters
 
 T = TypeVar("T")
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D
-from hitchhike_ros.geometry import wrap_angle
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.geometry import wrap_angle
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 
 # Noise that the own wheels add to a measured step of the driver (chosen).

@@ -14,12 +14,12 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from hitchhike_ros.datatypes import Pose2D, Twist2D
-from hitchhike_ros.geometry import wrap_angle
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import Pose2D, Twist2D
+from hitchhike_ros.core.geometry import wrap_angle
+from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.servoing.driver_trail import Trail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import TrailLaw, saturate
-from hitchhike_ros.servoing.trail import Trail
 
 SearchState = Literal["coasting", "looking", "turning", "lost"]
 

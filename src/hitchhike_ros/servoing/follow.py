@@ -16,15 +16,15 @@ from typing import Literal
 
 import numpy as np
 
-from hitchhike_ros.datatypes import MarkerObservation, Odometry, Pose2D, Twist2D
-from hitchhike_ros.errors import SensorDataError
-from hitchhike_ros.geometry import compose, wrap_angle
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import MarkerObservation, Odometry, Pose2D, Twist2D
+from hitchhike_ros.core.errors import SensorDataError
+from hitchhike_ros.core.geometry import compose, wrap_angle
+from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.servoing.driver_estimate import DriverEstimate
 from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
+from hitchhike_ros.servoing.driver_trail import Trail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import Target, View, make_law, saturate
-from hitchhike_ros.servoing.trail import Trail
 
 # A follower farther than this from the trail of a driver that it lost does not go back to it (chosen).
 STRAY_M = 0.5

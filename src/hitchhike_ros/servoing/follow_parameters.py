@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from hitchhike_ros.datatypes import Positive
+from hitchhike_ros.core.datatypes import Positive
 
 LawName = Literal["trail", "image", "position"]
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import CameraInfo, FloatArray
+from hitchhike_ros.core.datatypes import CameraInfo, FloatArray
 
 GrayImage = npt.NDArray[np.uint8]
 # The straight picture may be larger than the lens's by this share on each side; what lies farther out is left away.

@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hitchhike_ros import _visp_tracker
-from hitchhike_ros.datatypes import CameraInfo, FloatArray, MarkerObservation, Positive, UnitInterval
-from hitchhike_ros.errors import VisionError
-from hitchhike_ros.geometry import pose_from_matrix, wrap_angle
+from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, MarkerObservation, Positive, UnitInterval
+from hitchhike_ros.core.errors import VisionError
+from hitchhike_ros.core.geometry import pose_from_matrix, wrap_angle
 from hitchhike_ros.servoing import qr_codes
 from hitchhike_ros.servoing.lens import GrayImage, Lens
 from hitchhike_ros.servoing.square_pose import PoseSolution, SquareView, solve, square_on_poses

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from hitchhike_ros.errors import VisionError
+from hitchhike_ros.core.errors import VisionError
 
 PAPERS_MM = {
     "A4": (210.0, 297.0),

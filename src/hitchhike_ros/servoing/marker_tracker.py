@@ -25,9 +25,9 @@ import msgspec
 import numpy as np
 
 from hitchhike_ros import _visp_tracker
-from hitchhike_ros.datatypes import CameraInfo, FloatArray, Positive, UnitInterval
-from hitchhike_ros.errors import VisionError
-from hitchhike_ros.geometry import wrap_angle
+from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, Positive, UnitInterval
+from hitchhike_ros.core.errors import VisionError
+from hitchhike_ros.core.geometry import wrap_angle
 from hitchhike_ros.servoing.lens import GrayImage, Lens
 from hitchhike_ros.servoing.marker_detector import (
     T_TAG_MARKER,

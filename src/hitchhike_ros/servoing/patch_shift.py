@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray
+from hitchhike_ros.core.datatypes import FloatArray
 from hitchhike_ros.servoing.lens import GrayImage
 
 # The part is compared in pictures so large, and sought so far from where it was (chosen: a robot that turns by 0.2

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.datatypes import FloatArray
+from hitchhike_ros.core.datatypes import FloatArray
 
 FAMILY = "qr"
 

@@ -15,10 +15,10 @@ from typing import Protocol
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray, Pose2D, Twist2D
-from hitchhike_ros.robot_model import RobotLimits
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Twist2D
+from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.servoing.driver_trail import Trail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
-from hitchhike_ros.servoing.trail import Trail
 
 # A marker nearer than this is taken to be this far, where a formula has a pole at the camera (chosen).
 _NEAREST_M = 0.1

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchhike_ros import _visp_tracker
-from hitchhike_ros.datatypes import FloatArray
+from hitchhike_ros.core.datatypes import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

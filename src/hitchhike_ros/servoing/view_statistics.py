@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.datatypes import FloatArray
+from hitchhike_ros.core.datatypes import FloatArray
 
 # Rate and steadiness are those of the last images of this long (chosen).
 WINDOW_S = 2.0

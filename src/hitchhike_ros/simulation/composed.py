@@ -15,20 +15,23 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.control.obstacle_avoidance import ObstacleAvoidance, ObstacleAvoidanceParameters
+from hitchhike_ros.control.local_planner import ObstacleAvoidance, ObstacleAvoidanceParameters
+from hitchhike_ros.control.safety_limiter import Guard
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
-from hitchhike_ros.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
-from hitchhike_ros.errors import PlanningError
-from hitchhike_ros.geometry import pose_from_matrix
+from hitchhike_ros.core.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.core.errors import PlanningError
+from hitchhike_ros.core.geometry import pose_from_matrix
+from hitchhike_ros.core.parameters import load_parameters
+from hitchhike_ros.core.robot_model import RobotLimits, fixed_transforms
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.parameters import load_parameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParameters
+from hitchhike_ros.protocol.agent import Traveller
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
     Award,
@@ -45,16 +48,13 @@ from hitchhike_ros.protocol.machine import (
 from hitchhike_ros.protocol.messages import encode
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import ServoCommand, Status
-from hitchhike_ros.protocol.traveller import Traveller
-from hitchhike_ros.robot_model import RobotLimits, fixed_transforms
 from hitchhike_ros.servoing.follow import FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
-from hitchhike_ros.servoing.guard import Guard
 from hitchhike_ros.servoing.marker_detector import MarkerDetectorParameters, planar_observation
 from hitchhike_ros.servoing.marker_tracker import MarkerTracker, MarkerTrackerParameters
 from hitchhike_ros.simulation.faults import Fault, FaultKind
-from hitchhike_ros.simulation.robot import SimulatedRobot
-from hitchhike_ros.simulation.world import World
+from hitchhike_ros.simulation.physics.robot import SimulatedRobot
+from hitchhike_ros.simulation.physics.world import World
 from hitchhike_ros.simulation.world_file import RobotEntry
 
 FRAME_RATE_HZ = 10

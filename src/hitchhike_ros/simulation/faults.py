@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from hitchhike_ros.datatypes import Twist2D
+from hitchhike_ros.core.datatypes import Twist2D
 
 # Something is held before the lens; images stay away; nothing is sent and nothing heard; somebody steers by joystick.
 FaultKind = Literal["camera_covered", "camera_silent", "messages_lost", "steered"]

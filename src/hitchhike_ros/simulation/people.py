@@ -1,4 +1,4 @@
-"""People in the simulated world: cylinders that walk to and fro along a path of straight pieces.
+"""People in the simulated world: they walk to and fro along a path of straight pieces.
 
 They are kinematic: they push nobody and nobody pushes them; that they and a robot touch is counted as the robot's
 contact. A person stops while a robot is close in front of him, as people do, and walks on when it has gone, or turns
@@ -12,16 +12,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet as p
 
-from hitchhike_ros.datatypes import FloatArray, NonNegative, Pose2D, Positive
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Pose2D, Positive
 
 RADIUS_M, HEIGHT_M = 0.25, 1.7
 # Somebody stops for a robot whose centre is nearer than this and within this bearing of where he walks, or still nearer
 # and anywhere before him (chosen; no robot's corner is farther than 0.4 m from its centre).
 _STOP_M, _STOP_RAD, _BESIDE_M = 0.8, math.radians(50.0), 0.7
 _PATIENCE_S = 1.0  # then he turns back (chosen)
-_COLOUR = (0.25, 0.35, 0.60, 1.0)
 
 
 @dataclass(frozen=True)
@@ -73,50 +71,6 @@ class Walker:
             s, self._sense = -s if s < 0.0 else 2.0 * end - s, -self._sense
         self._s = s
         return True
-
-
-class WalkingBody:
-    """A walker's cylinder in a pybullet client."""
-
-    def __init__(self, client: int, person: Person, body: int) -> None:
-        self.walker, self.body, self._client = Walker(person), body, client
-        self._place()
-
-    def step(self, now: float, dt: float, robots: Iterable[Pose2D]) -> None:
-        """Walk for ``dt`` s."""
-        if self.walker.step(now, dt, robots):
-            self._place()
-
-    def reset(self) -> None:
-        """Back to the start of the path."""
-        self.send(self.walker.person)
-
-    def send(self, person: Person) -> None:
-        """He walks another way, from its start."""
-        self.walker = Walker(person)
-        self._place()
-
-    def touches(self, robot: int) -> tuple[float, float] | None:
-        """Where the body of a robot touches him, (x, y) in ``map``; None when it does not."""
-        points = p.getClosestPoints(robot, self.body, 0.0, physicsClientId=self._client)
-        deepest = min(points, key=lambda point: float(point[8]), default=None)
-        return None if deepest is None or deepest[8] > 0.0 else (float(deepest[5][0]), float(deepest[5][1]))
-
-    def _place(self) -> None:
-        pose = self.walker.pose
-        p.resetBasePositionAndOrientation(
-            self.body, [pose.x, pose.y, HEIGHT_M / 2], [0.0, 0.0, 0.0, 1.0], physicsClientId=self._client
-        )
-
-
-def cylinder(client: int) -> tuple[int, int]:
-    """Collision and visual shape of a person."""
-    shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=RADIUS_M, height=HEIGHT_M, physicsClientId=client)
-    look = p.createVisualShape(
-        p.GEOM_CYLINDER, radius=RADIUS_M, length=HEIGHT_M, rgbaColor=_COLOUR, specularColor=(0.0, 0.0, 0.0),
-        physicsClientId=client,
-    )  # fmt: skip
-    return shape, look
 
 
 def in_front(person: Pose2D, robot: Pose2D) -> bool:

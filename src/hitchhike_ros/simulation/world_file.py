@@ -9,8 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from hitchhike_ros.datatypes import NonNegative, Obstacle, Pose2D, Positive
-from hitchhike_ros.errors import WorldFileError
+from hitchhike_ros.core.datatypes import NonNegative, Obstacle, Pose2D, Positive
+from hitchhike_ros.core.errors import WorldFileError
+from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.mapping.sites import (
     Sites,
     parse_sites,
@@ -20,7 +21,6 @@ from hitchhike_ros.mapping.sites import (
     read_world,
     require_unique,
 )
-from hitchhike_ros.parameters import convert
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.people import Person
 

@@ -1,0 +1,1 @@
+"""What a person types: commands that start, measure, draw and save."""

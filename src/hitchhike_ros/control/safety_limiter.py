@@ -1,0 +1,103 @@
+"""Who rides behind a marker does not run into what comes between: commands from which the robot could not brake are
+slowed down. Obstacle avoidance is off during a ride (P17 Table 3); this looks at no map and plans nothing (chosen)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from hitchhike_ros.control.clearance import ClearanceField, Footprint
+from hitchhike_ros.control.dynamic_window import brake, roll_out
+from hitchhike_ros.control.obstacle_memory import scan_points
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, Twist2D
+from hitchhike_ros.core.errors import SensorDataError
+from hitchhike_ros.core.geometry import transform_points
+from hitchhike_ros.core.robot_model import RobotLimits
+
+# A scan older than this says nothing; between scan and command pass so many seconds (chosen).
+_MAX_AGE_S, _REACTION_S = 0.5, 0.2
+# So near it comes on purpose (chosen); a field of distances is right to half a cell, 2.5 cm, and so is where it stands.
+_MARGIN_M, _GRID_M = 0.06, 0.05
+_MAX_NAN_FRACTION = 0.1
+_SHARES = (1.0, 0.75, 0.5, 0.25)
+# The wheels brake harder than they speed up: velocity_mux lets them (chosen: what every base of the package can do).
+_BRAKING = 2.0
+
+
+class Guard:
+    """Keeps the newest scan and limits commands by it; without a fresh scan it lets everything pass."""
+
+    def __init__(self, limits: RobotLimits, T_base_laser: Pose2D) -> None:
+        self._limits, self._T_base_laser = limits, T_base_laser
+        self._braking = replace(
+            limits,
+            max_acceleration_mps2=_BRAKING * limits.max_acceleration_mps2,
+            max_yaw_acceleration_rps2=_BRAKING * limits.max_yaw_acceleration_rps2,
+        )
+        self._footprint = Footprint(limits)
+        self._apart_m = limits.circumscribed_m + _MARGIN_M + _GRID_M
+        self._mount_m = math.hypot(T_base_laser.x, T_base_laser.y)
+        self._scan: LaserScan | None = None
+        self._nearest_m = math.inf  # its shortest beam; NaN where one is
+        self._points: FloatArray | None = None  # (N, 2) of the newest scan in the base frame, once they are needed,
+        self._field: ClearanceField | None = None  # and how far from them everything is
+
+    def see(self, scan: LaserScan) -> None:
+        """The newest scan; one that cannot be used counts as none."""
+        self._scan, self._points, self._field = scan, None, None
+        self._nearest_m = float(scan.ranges.min(initial=math.inf))
+
+    def limit(self, now: float, twist: Twist2D) -> tuple[Twist2D, bool]:
+        """``twist`` scaled down until the robot can brake before contact, and whether that was needed.
+
+        Nearer than the margin to something, what comes no closer is still allowed.
+        """
+        if self._scan is None or not now - self._scan.stamp <= _MAX_AGE_S or twist == Twist2D():
+            return twist, False
+        travel, apart = self._way(twist)
+        if self._nearest_m > self._mount_m + travel + apart:  # as a rule, and nothing more is to be computed
+            return twist, False
+        points = self._scanned()
+        if points is None or _are_beside(points, math.copysign(travel, twist.v), apart):
+            return twist, False
+        if self._field is None:
+            self._field = ClearanceField(points)
+        clearance = float(self._field.clearance(self._footprint, np.zeros(3)))
+        floor = min(_MARGIN_M, clearance - 0.005)
+        velocity = np.array([twist.v, twist.omega])
+        share = next((share for share in _SHARES if self._stops_clear(self._field, share * velocity, floor)), 0.0)
+        return Twist2D(share * twist.v, share * twist.omega), share < 1.0
+
+    def _scanned(self) -> FloatArray | None:
+        """Points of the newest scan; None where it cannot be used."""
+        if self._points is None and self._scan is not None:
+            try:
+                self._points = transform_points(self._T_base_laser, scan_points(self._scan, _MAX_NAN_FRACTION))
+            except SensorDataError:
+                self._scan = None
+        return self._points
+
+    def _way(self, twist: Twist2D) -> tuple[float, float]:
+        """How far straight on the robot may come until it stands, and how near to that what it could touch is, m:
+        whichever way it turns, and however it leaves the straight way aside."""
+        braking = self._braking
+        travel = abs(twist.v) * _REACTION_S + twist.v**2 / (2.0 * braking.max_acceleration_mps2)
+        turn = abs(twist.omega) * _REACTION_S + twist.omega**2 / (2.0 * braking.max_yaw_acceleration_rps2)
+        return travel, self._apart_m + travel * min(turn, 1.0)
+
+    def _stops_clear(self, field: ClearanceField, velocity: FloatArray, floor: float) -> bool:
+        """Whether a robot that drives at ``velocity`` (2,) can brake to a stand and stay ``floor`` m clear."""
+        times = np.array([0.5, 1.0]) * _REACTION_S
+        committed, velocities = roll_out(Twist2D(*velocity.tolist()), velocity[None], self._braking, times)
+        stopping = brake(committed[:, -1], velocities[:, -1], self._braking, 6)
+        poses = np.concatenate([committed, stopping], axis=1)
+        return float(field.clearance(self._footprint, poses).min()) >= floor
+
+
+def _are_beside(points: FloatArray, travel: float, apart: float) -> bool:
+    """Whether points (N, 2) are all farther than ``apart`` m from the way from the origin to (travel, 0)."""
+    x, y = math.copysign(1.0, travel) * points[:, 0], points[:, 1]
+    past = x - np.minimum(np.maximum(x, 0.0), abs(travel))  # the ends of the way
+    return float((past * past + y * y).min(initial=math.inf)) > apart**2

@@ -1,0 +1,1 @@
+"""What every other room uses: data types, geometry, errors, parameters and the model of a robot."""

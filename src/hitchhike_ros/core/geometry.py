@@ -1,0 +1,106 @@
+"""SE(2) and SE(3) in the notation ``T_a_b``: coordinates in b become coordinates in a."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+
+
+def wrap_angle(angle: float) -> float:
+    """The same direction in (-pi, pi]."""
+    wrapped = math.remainder(angle, 2.0 * math.pi)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+def wrap_angles(angles: FloatArray) -> FloatArray:
+    """As :func:`wrap_angle`, for an array of any shape."""
+    return -((np.pi - np.asarray(angles, dtype=float)) % (2.0 * np.pi) - np.pi)
+
+
+def compose(T_a_b: Pose2D, T_b_c: Pose2D) -> Pose2D:
+    """T_a_c = T_a_b @ T_b_c, theta wrapped."""
+    c, s = math.cos(T_a_b.theta), math.sin(T_a_b.theta)
+    return Pose2D(
+        T_a_b.x + c * T_b_c.x - s * T_b_c.y,
+        T_a_b.y + s * T_b_c.x + c * T_b_c.y,
+        wrap_angle(T_a_b.theta + T_b_c.theta),
+    )
+
+
+def inverse(T_a_b: Pose2D) -> Pose2D:
+    """T_b_a."""
+    c, s = math.cos(T_a_b.theta), math.sin(T_a_b.theta)
+    return Pose2D(-c * T_a_b.x - s * T_a_b.y, s * T_a_b.x - c * T_a_b.y, wrap_angle(-T_a_b.theta))
+
+
+def between(T_a_b: Pose2D, T_a_c: Pose2D) -> Pose2D:
+    """T_b_c."""
+    return compose(inverse(T_a_b), T_a_c)
+
+
+def distance(a: Pose2D, b: Pose2D) -> float:
+    """Distance of two positions in m."""
+    return math.hypot(a.x - b.x, a.y - b.y)
+
+
+def transform_points(T_a_b: Pose2D, points_b: FloatArray) -> FloatArray:
+    """Points (N, 2) in b as points (N, 2) in a."""
+    c, s = math.cos(T_a_b.theta), math.sin(T_a_b.theta)
+    return points_b @ np.array([[c, s], [-s, c]]) + np.array([T_a_b.x, T_a_b.y])
+
+
+def compose_jacobians(T_a_b: Pose2D, T_b_c: Pose2D) -> tuple[FloatArray, FloatArray]:
+    """d(T_a_c)/d(T_a_b) and d(T_a_c)/d(T_b_c), both (3, 3) in (x, y, theta)."""
+    c, s = math.cos(T_a_b.theta), math.sin(T_a_b.theta)
+    J_ab = np.array([[1.0, 0.0, -s * T_b_c.x - c * T_b_c.y], [0.0, 1.0, c * T_b_c.x - s * T_b_c.y], [0.0, 0.0, 1.0]])
+    J_bc = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return J_ab, J_bc
+
+
+def inverse_jacobian(T_a_b: Pose2D) -> FloatArray:
+    """d(T_b_a)/d(T_a_b), (3, 3) in (x, y, theta)."""
+    c, s = math.cos(T_a_b.theta), math.sin(T_a_b.theta)
+    x, y = T_a_b.x, T_a_b.y
+    return np.array([[-c, -s, s * x - c * y], [s, -c, c * x + s * y], [0.0, 0.0, -1.0]])
+
+
+def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """R (3, 3) of fixed-axis roll, pitch, yaw, as in URDF."""
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def matrix_from_xyz_rpy(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> FloatArray:
+    """Homogeneous T (4, 4) of a URDF origin."""
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_rpy(*rpy)
+    T[:3, 3] = xyz
+    return T
+
+
+def pose_from_matrix(T: FloatArray) -> Pose2D:
+    """Planar part of T (4, 4): x, y and the yaw of its x axis."""
+    return Pose2D(float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0]))
+
+
+def path_length(points: FloatArray) -> float:
+    """Length in m of the polyline through points (N, 2)."""
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) if len(points) > 1 else 0.0
+
+
+def point_in_polygon(x: float, y: float, polygon: tuple[tuple[float, float], ...]) -> bool:
+    """Whether (x, y) is inside the simple polygon (even-odd rule)."""
+    inside = False
+    for (x1, y1), (x2, y2) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
+            inside = not inside
+    return inside

@@ -1,0 +1,37 @@
+"""Obstacle avoidance: drives down a corridor with boxes that the map does not have and two people crossing the way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hitchhike_ros.experiments.bench.registry import Options, Progress
+from hitchhike_ros.experiments.scenarios.corridor_drives import corridor_drives
+from hitchhike_ros.experiments.scoring.figures import Figure
+
+# The goal tolerance, and what localization may be off by beside it.
+_GOAL_M, _GOAL_DEG = 0.10 + 0.05, 5.0 + 1.0
+
+
+def run(options: Options, progress: Progress) -> list[Figure]:
+    """Drive; ``bench mapping`` in the same run looks at the same drives."""
+    drives = corridor_drives(options, progress)
+    reached = [drive for drive in drives if drive.reached]
+    worst_m = max((drive.goal_error_m for drive in reached), default=None)
+    worst_deg = max((math.degrees(drive.goal_error_rad) for drive in reached), default=None)
+    return [
+        Figure("drives", len(drives), ""),
+        Figure("contacts with boxes, people and walls", sum(len(drive.contacts) for drive in drives), "", 0.0),
+        Figure("drives that reach their goal", len(reached), "", float(len(drives)), "higher"),
+        Figure("goal error, worst", worst_m, "m", _GOAL_M),
+        Figure("goal heading error, worst", worst_deg, "°", _GOAL_DEG),
+        # Beside it: the straight way at cruise speed.
+        Figure("time of a drive, median", _median([d.duration_s for d in reached]), "s", peer=drives[0].straight_s),
+        Figure("time of a drive, longest", max((d.duration_s for d in reached), default=None), "s"),
+        Figure("time standing in a drive, longest", max(d.stood_s for d in drives), "s"),
+    ]
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None

@@ -1,0 +1,273 @@
+"""What must hold after every event in a fleet, whatever its network and its robots suffer.
+
+It is the referee's view: the machines of all robots and the bodies at once, which no robot has. Bounds follow from the
+robots' own parameters; the slack is for the period in which they look again and for messages under way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from hitchhike_ros.protocol.driver.convoy import Rider
+from hitchhike_ros.protocol.driver.machine import RIDE_COMPLETED, WITH_RIDER, DriverState
+from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, RETURNING, HitchhikerMachine, HitchhikerState
+from hitchhike_ros.protocol.machine import Award, Effect, Report, Send
+from hitchhike_ros.protocol.messages import (
+    Accept,
+    Ack,
+    Beacon,
+    Decouple,
+    Deny,
+    Driver,
+    Lock,
+    Message,
+    RequestCancel,
+    Terminate,
+)
+from hitchhike_ros.simulation.grid.world import GridRobot, GridWorld
+
+# Ways that a driver counts and its rider does not: it stops a little after it lost the rider, and localizes with noise.
+_METRES, _METRES_SHARE = 3.0, 0.06
+# Of a ride apart from its duration: questions, answers, last words, and as much again for luck.
+_MESSAGES_A_RIDE = 120
+
+
+# What the world says of a goal that somebody took back.
+GOAL_CHANGED = "Goal changed"
+
+
+class BrokenInvariantError(Exception):
+    """An invariant does not hold: which, when, and for whom."""
+
+
+@dataclass
+class _Ride:
+    """What the referee counts of a ride."""
+
+    began: float
+    last: float
+    messages: int = 0
+    awards: int = 0
+    award_m: float = 0.0
+    completed: bool = False
+    ridden_from: float | None = None
+    ridden_m: float = 0.0
+    crashed: bool = False
+
+
+class Referee:
+    """Observes a world; every event may raise BrokenInvariantError."""
+
+    def __init__(self, world: GridWorld, slack_s: float) -> None:
+        """``slack_s`` covers a period of the robots and the longest delay of the network."""
+        self._world, self._slack_s = world, slack_s
+        self._rides: dict[str, _Ride] = {}
+        self._since: dict[tuple[str, ...], float] = {}
+        self._offers: dict[tuple[str, str, str], float] = {}
+        self._answered: set[tuple[str, str, str]] = set()
+        self._owed: dict[str, set[str]] = defaultdict(set)  # boxes that a robot has acknowledged
+        self._heard: dict[tuple[str, str, int], frozenset[str]] = {}
+        world.observers.append(self.see)
+
+    def see(self, now: float, name: str, event: object, effects: Sequence[Effect]) -> None:
+        """One event of one robot."""
+        robot = self._world.robots[name]
+        if event == "crash":
+            self._forget(name)
+            return
+        if isinstance(event, Beacon):
+            return  # changes nothing but what is remembered
+        self._note(now, robot, event, effects)
+        self._check_driver(now, robot)
+        self._check_hitchhiker(now, robot)
+        self._check_bounds(now)
+
+    def end(self, limit_s: float) -> None:
+        """When the run is over: everybody is there, boxes are in the maps, awards are right."""
+        for name, robot in self._world.robots.items():
+            if not robot.alive:
+                continue
+            if not robot.idle:
+                self._fail(f"{name} has not come to its goal, nor said why, in {limit_s:.0f} s: {robot.status.state}")
+            missing = self._owed[name] - set(robot.known)
+            if missing:
+                self._fail(f"{name} has acknowledged {', '.join(sorted(missing))}, which its map does not have")
+            for trip in robot.trips:
+                if not trip.reached and trip.reason != GOAL_CHANGED:  # every place of the world can be reached
+                    self._fail(f"{name} gave up a goal: {trip.reason}")
+        for ride_id, ride in self._rides.items():
+            if ride.completed and ride.awards != 1:
+                self._fail(f"{ride_id} was completed and credited {ride.awards} times")
+
+    # What is noted.
+
+    def _note(self, now: float, robot: GridRobot, event: object, effects: Sequence[Effect]) -> None:
+        if isinstance(event, Accept):
+            current = {machine.ride_id for machine in _hitchhikers(robot)}
+            offer = (robot.name, event.robot_id, event.ride_id)
+            if event.ride_id in current and offer not in self._answered:
+                self._offers.setdefault(offer, now)
+        elif isinstance(event, Deny):
+            self._offers.pop((robot.name, event.robot_id, event.ride_id), None)  # taken back
+        elif isinstance(event, Driver | Decouple):
+            boxes = frozenset(box.id for box in event.new_obstacles.obstacles)
+            self._heard[robot.name, event.robot_id, event.seq] = boxes
+        elif isinstance(event, Terminate | RequestCancel):
+            rider = robot.traveller.driver._convoy.find(event)
+            if rider is not None:
+                self._fail(f"{robot.name} keeps {rider.offer.hitchhiker}, who has ended {event.ride_id}")
+        for effect in effects:
+            if isinstance(effect, Send):
+                self._note_sent(now, robot, effect.message)
+            elif isinstance(effect, Award):
+                self._note_award(robot, effect)
+            elif isinstance(effect, Report) and effect.text == RIDE_COMPLETED:
+                self._note_completed(robot, effects)
+
+    def _note_sent(self, now: float, robot: GridRobot, message: Message) -> None:
+        if isinstance(message, Beacon):
+            return
+        ride = self._rides.setdefault(message.ride_id, _Ride(now, now))
+        ride.messages, ride.last = ride.messages + 1, now
+        self._check_messages(message.ride_id, ride, robot)
+        if isinstance(message, Lock | RequestCancel | Terminate):
+            self._offers.pop((robot.name, message.to, message.ride_id), None)
+            self._answered.add((robot.name, message.to, message.ride_id))
+        if isinstance(message, Ack) and message.of in (Driver.type, Decouple.type):
+            self._owed[robot.name] |= self._heard.pop((robot.name, message.to, message.acknowledges), frozenset())
+
+    def _note_award(self, robot: GridRobot, award: Award) -> None:
+        ride = self._rides[award.ride_id]
+        ride.awards, ride.award_m = ride.awards + 1, award.ride_m
+        if ride.awards > 1:
+            self._fail(f"{award.ride_id} is credited {ride.awards} times")
+        hitchhiker = self._world.robots[award.hitchhiker]
+        if ride.crashed or not hitchhiker.alive or ride.ridden_from is None:
+            return
+        ridden = ride.ridden_m
+        # A rider that was lost stood while its driver went on for as long as it takes to notice.
+        lost_m = robot.params.ride_speed_mps * (robot.params.ack_timeout_s + self._slack_s)
+        if abs(award.ride_m - ridden) > _METRES + _METRES_SHARE * ridden + lost_m:
+            self._fail(f"{award.ride_id}: {award.ride_m:.1f} m are credited, {ridden:.1f} m were ridden")
+        params = robot.params
+        if not math.isclose(award.points, params.award_rate * award.ride_m):
+            self._fail(f"{award.ride_id}: {award.points} points for {award.ride_m:.1f} m")
+
+    def _note_completed(self, robot: GridRobot, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Award):
+                self._rides[effect.ride_id].completed = True
+        if not any(isinstance(effect, Award) for effect in effects) and robot.status.role == "driver":
+            self._fail(f"{robot.name} completes a ride that nobody credits")
+
+    # What must hold.
+
+    def _check_driver(self, now: float, robot: GridRobot) -> None:
+        machine = robot.traveller.driver
+        riders = tuple(machine._convoy)
+        if not riders:
+            return
+        names = [rider.offer.hitchhiker for rider in riders]
+        if len(names) > robot.params.places or len(set(names)) < len(names):
+            self._fail(f"{robot.name} has {robot.params.places} places and gives them to {names}")
+        if machine.state in WITH_RIDER and machine.speed_limit_mps > robot.params.ride_speed_mps + 1e-9:
+            self._fail(f"{robot.name} may go {machine.speed_limit_mps} m/s with a rider")
+        for rider in riders:
+            if rider.coupled:
+                self._track_metres(rider)
+                lost = machine.state is not DriverState.ALIGNED and not self._rider_knows(rider)
+                self._lasts(now, lost, self._lost_s(robot), "driver", robot.name, rider.offer.ride_id)
+        for rider in machine._convoy.coupled:
+            hitchhiker = rider.offer.hitchhiker
+            others = (other.traveller.driver._convoy.of(hitchhiker) for other in self._alive() if other is not robot)
+            twice = any(other is not None and other.coupled for other in others)
+            self._lasts(now, twice, self._lost_s(robot), "two drivers", hitchhiker)
+
+    def _check_hitchhiker(self, now: float, robot: GridRobot) -> None:
+        machine = robot.traveller.hitchhiker
+        if machine.state in (*COUPLED, *RETURNING) and machine.offer is not None:
+            driver = self._world.robots.get(machine.offer.robot_id)
+            ride = self._rides.get(machine.ride_id)
+            if ride is not None and ride.ridden_from is not None:
+                robot.body.advance(now)
+                ride.ridden_m = robot.body.odometer_m - ride.ridden_from
+            rider = None if driver is None or not driver.alive else driver.traveller.driver._convoy.of(robot.name)
+            knows = rider is not None and rider.offer.ride_id == machine.ride_id
+            self._lasts(now, not knows, self._silent_s(robot), "rider", robot.name, machine.ride_id)
+        for other in _hitchhikers(robot):
+            if other.state is HitchhikerState.IDLE and other._offers:
+                self._fail(f"{robot.name} has no goal and keeps offers of {', '.join(other._offers)}")
+
+    def _check_bounds(self, now: float) -> None:
+        for (name, driver, ride_id), since in list(self._offers.items()):
+            robot = self._world.robots[name]
+            if not robot.alive:
+                del self._offers[name, driver, ride_id]
+            elif now - since > 2.0 * robot.params.offer_window_s + robot.params.confirm_timeout_s + self._slack_s:
+                self._fail(f"{name} has neither taken nor refused the offer of {driver} for {ride_id}")
+
+    def _check_messages(self, ride_id: str, ride: _Ride, robot: GridRobot) -> None:
+        p = robot.params
+        a_second = 2.0 / p.update_period_s + 3.0 / p.request_period_s + 2.0 / p.repeat_period_s
+        # Everybody who hears a question may answer it.
+        answers = 1.0 + 0.3 * len(self._world.robots)
+        bound = answers * (_MESSAGES_A_RIDE + 1.2 * a_second * (ride.last - ride.began))
+        if ride.messages > bound:
+            self._fail(f"{ride_id} has taken {ride.messages} messages in {ride.last - ride.began:.0f} s")
+
+    # What that needs.
+
+    def _lasts(self, now: float, wrong: bool, bound_s: float, *what: str) -> None:
+        """What is wrong may be so for a while."""
+        if not wrong:
+            self._since.pop(what, None)
+            return
+        since = self._since.setdefault(what, now)
+        if now - since > bound_s + self._slack_s:
+            self._fail(f"{' '.join(what)}: not of one mind for {now - since:.1f} s")
+
+    def _lost_s(self, robot: GridRobot) -> float:
+        """So long may a driver under way take to notice that it has lost its rider."""
+        p = robot.params
+        # It may be waiting for another one that is lost, and then for this one.
+        return p.ack_timeout_s + 2.0 * p.lost_timeout_s + p.decouple_timeout_s
+
+    def _silent_s(self, robot: GridRobot) -> float:
+        """So long may a rider take to notice that its driver is gone."""
+        return robot.params.message_timeout_s + robot.params.settle_timeout_s
+
+    def _rider_knows(self, rider: Rider) -> bool:
+        robot = self._world.robots[rider.offer.hitchhiker]
+        machine = robot.traveller.hitchhiker
+        return robot.alive and machine.ride_id == rider.offer.ride_id and machine.offer is not None
+
+    def _track_metres(self, rider: Rider) -> None:
+        robot = self._world.robots[rider.offer.hitchhiker]
+        ride = self._rides.get(rider.offer.ride_id)
+        if ride is not None and ride.ridden_from is None:
+            ride.ridden_from = robot.body.odometer_m
+
+    def _alive(self) -> Iterator[GridRobot]:
+        return (robot for robot in self._world.robots.values() if robot.alive)
+
+    def _forget(self, name: str) -> None:
+        """Who crashes remembers nothing, and owes nothing but its map."""
+        self._offers = {key: since for key, since in self._offers.items() if name not in key[:2]}
+        self._owed.pop(name, None)
+        self._since = {what: since for what, since in self._since.items() if name not in what}
+        for robot in self._world.robots.values():
+            for rider in robot.traveller.driver._convoy:
+                if name in (robot.name, rider.offer.hitchhiker) and rider.offer.ride_id in self._rides:
+                    self._rides[rider.offer.ride_id].crashed = True
+
+    def _fail(self, what: str) -> None:
+        raise BrokenInvariantError(f"at {self._world.now:.2f} s: {what}")
+
+
+def _hitchhikers(robot: GridRobot) -> Iterator[HitchhikerMachine]:
+    yield robot.traveller.hitchhiker
+    if robot.traveller.booking is not None:
+        yield robot.traveller.booking

@@ -1,0 +1,256 @@
+"""What the report draws over time: bars of states and modules, and curves, in percent of a picture that stretches.
+
+Only shapes are worked out here, as plain values; the report's template draws them, with its own texts and colours.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord, TimedPose
+from hitchhike_ros.experiments.scoring.network_rides import NetworkRide
+from hitchhike_ros.experiments.scoring.ride_figures import distances_from_trail, gap_errors, poses_at
+from hitchhike_ros.protocol.status import Status
+
+# What a state is about, by which bars are coloured. Others, those of a ride that hangs, are "trouble".
+KINDS = {
+    "idle": ("idle",),
+    "alone": ("navigating",),
+    "arranging": ("requesting", "locking", "offering", "awaiting_aligned"),
+    "coupling": ("aligning", "aligned", "coupling"),
+    "riding": ("riding", "driving"),
+    "handing over": ("decoupling", "settling", "relocalizing", "parting"),
+}
+TROUBLE = "trouble"
+_KIND_OF = {state: kind for kind, states in KINDS.items() for state in states}
+
+_TICKS = 10  # at most about so many on the axis of time
+_CURVE_POINTS = 400  # of a curve at most: more than a screen shows
+_TRAIL_STEP_M = 0.05
+_HEIGHT = 1000.0  # of the square that a curve's path is drawn in
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A place on an axis, in percent from its beginning."""
+
+    percent: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Bar:
+    """From ``left`` on ``width`` percent of the axis; ``text`` in it, and ``title`` when it is pointed at."""
+
+    left: float
+    width: float
+    text: str
+    kind: str
+    title: str
+
+
+@dataclass(frozen=True)
+class TimeAxis:
+    """Simulated seconds from ``start`` to ``end``."""
+
+    start: float
+    end: float
+
+    @property
+    def span(self) -> float:
+        return max(self.end - self.start, 1e-9)
+
+    def percent(self, stamp: float) -> float:
+        return round(100.0 * min(max((stamp - self.start) / self.span, 0.0), 1.0), 3)
+
+    @property
+    def ticks(self) -> list[Tick]:
+        return [Tick(self.percent(t), f"{t:g}") for t in nice_ticks(self.start, self.end)]
+
+    def bar(self, begin: float, end: float, text: str, kind: str) -> Bar:
+        left = self.percent(begin)
+        width = round(self.percent(end) - left, 3)
+        return Bar(left, width, text, kind, f"{text}, {begin:.1f} s to {end:.1f} s")
+
+
+@dataclass(frozen=True)
+class RobotBars:
+    """What one robot did over time, and which of its modules were on (P17 Table 3)."""
+
+    robot: str
+    states: tuple[Bar, ...]
+    modules: tuple[tuple[str, tuple[Bar, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """``path`` is an SVG path in a square of 1000 × 1000; ``index`` is the number of the robot it is of."""
+
+    label: str
+    index: int
+    path: str
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves over the time axis of its experiment."""
+
+    title: str
+    unit: str
+    ticks: tuple[Tick, ...]
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values (N,) at the times (N,); NaN where there is none."""
+
+    label: str
+    index: int
+    stamps: FloatArray
+    values: FloatArray
+
+
+def time_axis(record: RideRecord) -> TimeAxis:
+    """From the first to the last thing that is known of any robot."""
+    stamps = [p.stamp for robot in record.robots.values() for p in (*robot.truth[:1], *robot.truth[-1:])]
+    stamps += [s.time_stamp for robot in record.robots.values() for s in robot.statuses]
+    return TimeAxis(min(stamps), max(stamps)) if stamps else TimeAxis(0.0, 1.0)
+
+
+def robot_bars(name: str, robot: RobotRecord, axis: TimeAxis) -> RobotBars:
+    """Bars of one robot: each state until the next, each module while it is on."""
+    ends = [*(s.time_stamp for s in robot.statuses[1:]), axis.end]
+    spans = list(zip(robot.statuses, ends, strict=False))
+    states: list[tuple[float, float, Status]] = []
+    for status, end in spans:
+        if states and (states[-1][2].role, states[-1][2].state) == (status.role, status.state):
+            states[-1] = (states[-1][0], end, states[-1][2])
+        else:
+            states.append((status.time_stamp, end, status))
+    bars = tuple(axis.bar(a, b, state_text(s), _KIND_OF.get(s.state, TROUBLE)) for a, b, s in states)
+    modules = list(asdict(robot.statuses[0].modules)) if robot.statuses else []
+    return RobotBars(name, bars, tuple((module, _module_bars(module, spans, axis)) for module in modules))
+
+
+def state_text(status: Status) -> str:
+    """A state to be read: ``awaiting aligned``."""
+    return status.state.replace("_", " ")
+
+
+def _module_bars(module: str, spans: Sequence[tuple[Status, float]], axis: TimeAxis) -> tuple[Bar, ...]:
+    on: list[tuple[float, float]] = []
+    for status, end in spans:
+        if not getattr(status.modules, module):
+            continue
+        if on and on[-1][1] == status.time_stamp:
+            on[-1] = (on[-1][0], end)
+        else:
+            on.append((status.time_stamp, end))
+    return tuple(axis.bar(a, b, f"{module} on", "module") for a, b in on)
+
+
+def following_plots(
+    record: RideRecord, rides: Sequence[NetworkRide], markers: Mapping[int, str], axis: TimeAxis
+) -> list[Plot]:
+    """The gap's error and the lateral error of every rider over time, against ground truth."""
+    gaps, laterals = [], []
+    for ride in rides:
+        for ahead, window in _followed(record, ride, markers, axis.end):
+            robot = record.robots[ride.hitchhiker]
+            index = list(record.robots).index(ride.hitchhiker)
+            label = f"{ride.hitchhiker} behind {ahead}"
+            stamps = np.array(sorted(p.stamp for p in robot.truth if window[0] <= p.stamp <= window[1]))
+            errors = gap_errors(record.robots[ahead], robot, window)
+            if len(errors) and len(errors) == len(stamps):
+                gaps.append(Series(label, index, stamps, errors))
+            laterals.append(_lateral(label, index, record.robots[ahead], robot, window))
+    plots = (
+        _plot("Error of the gap (true distance − ordered)", "m", gaps, axis),
+        _plot("Lateral error (distance from the trail of the robot ahead)", "m", laterals, axis),
+    )
+    return [plot for plot in plots if plot is not None]
+
+
+def _followed(
+    record: RideRecord, ride: NetworkRide, markers: Mapping[int, str], last: float
+) -> list[tuple[str, tuple[float, float]]]:
+    """Which robots were ahead during a ride, and from when to when."""
+    end = next((t for t in (ride.settled_at, ride.released_at) if t is not None), last)
+    statuses = [s for s in record.robots[ride.hitchhiker].statuses if ride.riding_at <= s.time_stamp < end]
+    ends = [*(s.time_stamp for s in statuses[1:]), end]
+    found: list[tuple[str, tuple[float, float]]] = []
+    for status, until in zip(statuses, ends, strict=True):
+        ahead = markers.get(status.servo.marker_id) if status.servo is not None else None
+        if ahead is None or ahead not in record.robots:
+            continue
+        if found and found[-1][0] == ahead and found[-1][1][1] == status.time_stamp:
+            found[-1] = (ahead, (found[-1][1][0], until))
+        else:
+            found.append((ahead, (status.time_stamp, until)))
+    return found
+
+
+def _lateral(label: str, index: int, ahead: RobotRecord, robot: RobotRecord, window: tuple[float, float]) -> Series:
+    """Distance from the trail that the robot ahead has left since ``window`` began."""
+    stamps = np.linspace(*window, _CURVE_POINTS // 2)
+    if not robot.truth or not ahead.truth:
+        return Series(label, index, np.empty(0), np.empty(0))
+    trail = _trail([p for p in ahead.truth if window[0] <= p.stamp <= window[1]])
+    points = poses_at(robot.truth, stamps)[:, :2]
+    # A point before the trail's start has no distance, and so no value.
+    distances = [distances_from_trail(point[None], trail) for point in points]
+    return Series(label, index, stamps, np.array([d[0] if len(d) else np.nan for d in distances]))
+
+
+def _trail(poses: Sequence[TimedPose]) -> FloatArray:
+    """(N, 2), a step apart, so that a robot that stands adds nothing."""
+    kept: list[tuple[float, float]] = []
+    for p in poses:
+        if not kept or math.hypot(p.x - kept[-1][0], p.y - kept[-1][1]) >= _TRAIL_STEP_M:
+            kept.append((p.x, p.y))
+    return np.array(kept).reshape(-1, 2)
+
+
+def _plot(title: str, unit: str, series: Sequence[Series], axis: TimeAxis) -> Plot | None:
+    values = np.concatenate([np.zeros(1), *(s.values for s in series)])
+    values = values[np.isfinite(values)]
+    if len(values) < 2:
+        return None
+    low, high = float(values.min()), float(values.max())
+    margin = 0.05 * (high - low) or 0.01
+    low, high = (low - margin if low < 0.0 else low), high + margin
+    curves = tuple(Curve(s.label, s.index, _path(s, axis, low, high)) for s in series if np.isfinite(s.values).any())
+    values_at = nice_ticks(low, high, 5)
+    decimals = max(0, -math.floor(math.log10(values_at[1] - values_at[0]) + 1e-9)) if len(values_at) > 1 else 2
+    ticks = tuple(Tick(round(100.0 * (high - v) / (high - low), 2), f"{v:.{decimals}f}") for v in values_at)
+    return Plot(title, unit, ticks, curves)
+
+
+def _path(series: Series, axis: TimeAxis, low: float, high: float) -> str:
+    step = max(1, math.ceil(len(series.stamps) / _CURVE_POINTS))
+    texts, pen_down = [], False
+    for stamp, value in zip(series.stamps[::step], series.values[::step], strict=True):
+        if not math.isfinite(value):
+            pen_down = False
+            continue
+        x, y = 10.0 * axis.percent(float(stamp)), _HEIGHT * (high - value) / (high - low)
+        texts.append(f"{'L' if pen_down else 'M'}{x:.1f} {y:.1f}")
+        pen_down = True
+    return "".join(texts)
+
+
+def nice_ticks(low: float, high: float, about: int = _TICKS) -> list[float]:
+    """Round numbers within [low, high], 1, 2 or 5 times a power of ten apart."""
+    if not high > low:
+        return [low]
+    raw = (high - low) / about
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * (1.0 - 1e-9))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(k * step, 10) + 0.0 for k in range(first, last + 1)]

@@ -1,0 +1,1 @@
+"""What is driven, and the record that it leaves."""

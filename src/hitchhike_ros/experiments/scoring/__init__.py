@@ -1,0 +1,1 @@
+"""Figures of what was driven, each with its bound."""

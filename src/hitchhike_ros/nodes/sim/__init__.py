@@ -1,0 +1,1 @@
+"""The nodes that stand in for robots, humans and networks, and that watch a run."""

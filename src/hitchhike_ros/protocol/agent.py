@@ -1,0 +1,268 @@
+"""One robot in the protocol: it rides where it may, drives where it must, and tells its modules what is on.
+
+In a network (P18) it may ride several times on the way to one goal. The next driver is booked while the present ride is
+still on, by a second hitchhiker machine that asks from where that ride will end; whoever comes first waits (P18 §6).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.core.errors import PlanningError
+from hitchhike_ros.core.geometry import path_length
+from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.planning.itinerary import SoloMetres
+from hitchhike_ros.protocol.announcement import OwnPath
+from hitchhike_ros.protocol.driver.machine import ARRIVED, DriverMachine, DriverState
+from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, HitchhikerMachine, HitchhikerState
+from hitchhike_ros.protocol.machine import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
+from hitchhike_ros.protocol.matching import Boardings, Planner, solo_metres
+from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Message, Plate, Request
+from hitchhike_ros.protocol.neighbours import Neighbours
+from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
+from hitchhike_ros.protocol.status import Status
+
+ROLES_REVERSED = "Asks the better profile for a ride instead"
+# Who has asked the better profile for a ride gives it so many windows to become a driver (chosen).
+_REVERSAL_WINDOWS = 3.0
+
+
+class Traveller:
+    """Owns the robot's goal and its machines; only one of them has it at a time.
+
+    ``metres`` of driving alone are what itineraries are planned with; by default every way is planned.
+
+    Raises TransitionError as the machines do.
+    """
+
+    def __init__(
+        self,
+        robot_id: str,
+        params: HitchhikingParameters,
+        sites: Sites,
+        planner: Planner,
+        marker_pose: Pose2D,
+        camera: tuple[float, float],
+        radius_m: float,
+        metres: SoloMetres | None = None,
+    ) -> None:
+        self.robot_id = robot_id
+        self.params = params
+        self._sites, self._camera = sites, camera
+        self._planner, self._radius_m = planner, radius_m
+        self._metres = metres or solo_metres(planner)
+        self._plate = Plate(marker_id=params.marker_id, marker_size_m=params.marker_size_m, marker_pose=marker_pose)
+        self.neighbours = Neighbours()
+        self.hitchhiker = self._new_hitchhiker()
+        self.booking: HitchhikerMachine | None = None  # of the ride after this one
+        self.driver = DriverMachine(robot_id, params, sites, planner, marker_pose)
+        self._situation = Situation()
+        self._pending: Pose2D | None = None
+        self._asks = 0  # on the way to the present goal
+        self._reversed_at = -math.inf
+        self._booked_for = ""  # the ride after which another one was looked for
+        self._beacon_due = self._forget_due = 0.0
+        self._driver = ""  # of the newest ride
+
+    @property
+    def rides(self) -> bool:
+        return self.hitchhiker.state is not HitchhikerState.IDLE
+
+    @property
+    def outcome(self) -> tuple[bool, str] | None:
+        """Whether the last goal was reached, and why it ended; None while the robot is on its way to one."""
+        if self._pending is not None or self.rides or self.driver.state is not DriverState.IDLE:
+            return None
+        return self.driver.reason == ARRIVED, self.driver.reason
+
+    def step(self, event: object, now: float) -> list[Effect]:
+        """Take a GoalGiven, GoalCancelled, Tick or network Message."""
+        if isinstance(event, Beacon):  # first, as by far the most frequent
+            self.neighbours.hear(event, now)
+            return []
+        if isinstance(event, GoalGiven):
+            effects = self._drop_goal(now)
+            self._pending, self._asks = event.goal, 0
+            return effects
+        if isinstance(event, GoalCancelled):
+            return self._drop_goal(now)
+        if isinstance(event, Tick):
+            return self._tick(event, now)
+        assert isinstance(event, Message)
+        return self._hear(event, now)
+
+    def status(self, now: float, others: bool = True) -> Status:
+        """What the modules have to do now; ``others``: those that are on are told where other robots are."""
+        machine = self.hitchhiker if self.rides else self.driver
+        role = "hitchhiker" if self.rides else ("driver" if self.driver.offer is not None else "none")
+        if self.hitchhiker.offer is not None:
+            self._driver = self.hitchhiker.offer.robot_id
+        # A driver without a rider stands there and waits, so it is remembered for as long.
+        p, servo = self.params, machine.servo
+        asked = others and (machine.modules.OBS or machine.modules.MAP)
+        robots = self.neighbours.robots(now, p.robot_timeout_s, self._driver, p.lost_timeout_s) if asked else ()
+        return Status(
+            time_stamp=now,
+            robot_id=self.robot_id,
+            role=role,
+            state=machine.state.value,
+            reason=machine.reason,
+            modules=machine.modules,
+            goal=self.hitchhiker.way if self.rides else self.driver.goal,
+            speed_limit_mps=self.driver.speed_limit_mps,
+            servo=servo,
+            following=self._situation.following if servo is not None and servo.task == "follow" else "",
+            ride=machine.ride,
+            convoy=self.driver.riders,
+            robots=robots,
+        )
+
+    def _hear(self, message: Message, now: float) -> list[Effect]:
+        self.neighbours.hear(message, now)
+        effects = self.hitchhiker.step(message, now)
+        if self.booking is not None:
+            effects += self.booking.step(message, now)
+        if isinstance(message, Request) and self._rather_rides(message, now):
+            return effects + self._reverse_roles(message, now)
+        if not self.rides:
+            effects += self.driver.step(message, now)
+        return effects
+
+    def _tick(self, tick: Tick, now: float) -> list[Effect]:
+        self._situation = tick.situation
+        rode = self.rides
+        left_at = self.hitchhiker.left_at
+        effects = self.hitchhiker.step(tick, now) + self.driver.step(tick, now)
+        effects += self._book(now)
+        self._note_driver(left_at, now)
+        if rode and not self.rides and self.hitchhiker.goal is not None:
+            effects += self._go_on(self.hitchhiker.goal, now)
+        if self._pending is not None and not self.rides and tick.situation.estimate is not None:
+            goal, self._pending = self._pending, None
+            effects += self._ask(goal, now) if self._wants_ride(goal) else self.driver.step(GoalGiven(goal), now)
+        if now >= self._forget_due:
+            longest_s = max(self.params.robot_timeout_s, self.params.lost_timeout_s)
+            self._forget_due = now + longest_s
+            self.neighbours.forget(now - longest_s)
+        if now >= self._beacon_due:
+            self._beacon_due = now + self.params.beacon_period_s
+            effects.append(Send(self._beacon()))
+        return effects
+
+    def _new_hitchhiker(self) -> HitchhikerMachine:
+        return HitchhikerMachine(
+            self.robot_id, self.params, self._sites, self._camera, self._plate, self.neighbours, self._metres
+        )
+
+    def _ask(self, goal: Pose2D, now: float, whom: str = EVERYBODY) -> list[Effect]:
+        self._asks += 1
+        self.hitchhiker.asks = whom
+        self.hitchhiker.window_s = self.params.offer_window_s
+        return self.hitchhiker.step(GoalGiven(goal), now)
+
+    def _go_on(self, goal: Pose2D, now: float) -> list[Effect]:
+        """After a ride, or after none: with the next driver, with one that is asked now, or alone."""
+        reason, booked, self.booking = self.hitchhiker.reason, self.booking, None
+        if booked is not None and booked.state is HitchhikerState.AWAITING_ALIGNED:
+            booked.ready_in_s, booked.left_at = 0.0, self.hitchhiker.left_at
+            self.hitchhiker = booked
+            return []
+        effects = [] if booked is None else booked.step(GoalCancelled(), now)
+        rode = self.hitchhiker.rode
+        if rode and self.params.mode == "network" and self._asks < self.params.max_asks and self._wants_ride(goal):
+            return effects + self._ask(goal, now)
+        effects += self.driver.step(GoalGiven(goal), now)
+        self.driver.reason = reason  # why it goes on alone
+        return effects
+
+    def _book(self, now: float) -> list[Effect]:
+        """Look for the driver after this one in time, where the itinerary has another ride."""
+        current = self.hitchhiker
+        meeting, booking = current.meeting, self.booking
+        if meeting is None or current.goal is None:
+            return []
+        ready_in_s = max(current.leaves_in_s(), 1e-3)
+        there = PoseEstimate(now, Pose2D(*meeting.leave), np.zeros((3, 3)))
+        tick = Tick(Situation(estimate=there))
+        under_way = current.state in (HitchhikerState.AWAITING_ALIGNED, *COUPLED)
+        if booking is None and meeting.more and under_way and self._booked_for != current.ride_id:
+            self._booked_for = current.ride_id
+            self.booking = booking = self._new_hitchhiker()
+            booking.window_s, booking.ready_in_s = self.params.offer_window_s, ready_in_s
+            return booking.step(tick, now) + booking.step(GoalGiven(current.goal), now)
+        if booking is None:
+            return []
+        booking.ready_in_s = ready_in_s
+        effects = booking.step(tick, now)
+        if booking.state is HitchhikerState.IDLE:
+            self.booking = None
+        return effects
+
+    def _rather_rides(self, request: Request, now: float) -> bool:
+        """Whether it asks the one that asks for a ride instead: that one has the better profile (role reversal)."""
+        own, goal, here = self.params, self.driver.own_goal, self._situation.estimate
+        willing = own.mode == "network" and own.role_reversal and own.may_ride and self._asks < own.max_asks
+        if not willing or self.rides or self.driver.state is not DriverState.NAVIGATING:
+            return False
+        if goal is None or here is None or request.profile <= own.profile or request.in_s > 0.0:
+            return False
+        if max(own.priority, request.priority) >= TIME_CRITICAL_PRIORITY or now < self._reversed_at + own.patience_s:
+            return False
+        try:
+            path = OwnPath(self._planner(request.pose, request.goal))
+        except PlanningError:
+            return False  # then it goes nowhere
+        self._reversed_at = now  # it does not look at that again for a while
+        return Boardings(path, self._sites, own).serve(goal)
+
+    def _reverse_roles(self, request: Request, now: float) -> list[Effect]:
+        """It asks that one alone, and gives it the time to give up its own question."""
+        goal = self.driver.own_goal
+        assert goal is not None
+        effects: list[Effect] = [Report(ROLES_REVERSED)]
+        effects += self.driver.step(GoalCancelled(), now) + self._ask(goal, now, request.robot_id)
+        self.hitchhiker.window_s = _REVERSAL_WINDOWS * self.params.offer_window_s
+        return effects
+
+    def _note_driver(self, left_at: Pose2D | None, now: float) -> None:
+        """A driver that is left is where it was seen then: what it said last may be metres old."""
+        seen = self.hitchhiker.left_at
+        if seen is not None and seen != left_at:
+            self.neighbours.saw(self._driver, seen, now)
+
+    def _drop_goal(self, now: float) -> list[Effect]:
+        self._pending = None
+        effects = self.hitchhiker.step(GoalCancelled(), now) + self.driver.step(GoalCancelled(), now)
+        if self.booking is not None:
+            booking, self.booking = self.booking, None
+            effects += booking.step(GoalCancelled(), now)
+        return effects
+
+    def _wants_ride(self, goal: Pose2D) -> bool:
+        estimate = self._situation.estimate
+        if not self.params.may_ride or self.params.priority >= TIME_CRITICAL_PRIORITY or estimate is None:
+            return False
+        try:
+            return path_length(self._planner(estimate.pose, goal)) >= self.params.min_ride_m
+        except PlanningError:
+            return False  # navigation will find out, and say why
+
+    def _beacon(self) -> Beacon:
+        estimate = self._situation.estimate
+        state = self.hitchhiker.state if self.rides else self.driver.state
+        in_network = self.params.mode == "network" and not self.rides
+        return Beacon(
+            robot_id=self.robot_id,
+            state=state.value,
+            profile=self.params.profile,
+            priority=self.params.priority,
+            radius_m=self._radius_m,
+            pose=None if estimate is None else estimate.pose,
+            goal=self.hitchhiker.goal if self.rides else self.driver.own_goal,
+            path=self.driver.announced() if in_network else (),
+            free_places=self.driver.free_places if in_network and self.driver.own_goal is not None else 0,
+            safe_speed_mps=self.params.safe_speed_mps,
+        )

@@ -1,0 +1,1 @@
+"""The driver: its states, and the riders whom it carries."""

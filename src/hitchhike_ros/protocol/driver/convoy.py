@@ -1,0 +1,135 @@
+"""The hitchhikers of one driver: in which order they ride, whom each of them follows, and where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hitchhike_ros.core.datatypes import FloatArray, HitchhikingPoint, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.core.geometry import compose, inverse
+from hitchhike_ros.localization.handover import handover
+from hitchhike_ros.protocol.messages import Ack, Message, Plate
+
+# A rider that has not said how it sees the robot ahead is about so far behind it: m, m, rad (chosen).
+_UNSEEN = Pose2D(1.0)
+_UNSEEN_SIGMA = np.diag(np.square([0.5, 0.3, 0.3]))
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """A ride that was offered: to whom, from which point (aligned as the hitchhiker stands there), how far."""
+
+    hitchhiker: str
+    ride_id: str
+    point: HitchhikingPoint
+    ride_m: float
+    decouple_pose: Pose2D
+
+
+@dataclass(eq=False)
+class Rider:
+    """A hitchhiker that was offered a ride, and how it fares.
+
+    ``due`` is when it will be at its waiting place, ``heard_at`` when it said so last.
+    """
+
+    offer: Offer
+    plate: Plate | None = None
+    due: float = 0.0
+    heard_at: float = 0.0
+    coupled: bool = False
+    leaving: bool = False
+    ridden_m: float = 0.0
+    gap_m: float | None = None
+    following: bool = True
+    acked_at: float = 0.0
+    seen: MarkerObservation | None = field(default=None, repr=False)
+
+    @property
+    def left_m(self) -> float:
+        """Metres of the ride that are still ahead."""
+        return self.offer.ride_m - self.ridden_m
+
+    def hear(self, ack: Ack, now: float) -> None:
+        """How it follows, in its own words."""
+        self.acked_at, self.following, self.gap_m = now, ack.following, ack.gap_m
+        if ack.seen is not None and ack.seen_sigma is not None:
+            self.seen = MarkerObservation(now, 0, ack.seen, np.array(ack.seen_sigma))
+
+
+class Convoy:
+    """Riders in the order of their places; the first follows the driver, each other one the rider ahead of it."""
+
+    def __init__(self, plate: Plate) -> None:
+        """``plate`` is on the driver's back."""
+        self._plate = plate
+        self._riders: list[Rider] = []
+
+    def __iter__(self) -> Iterator[Rider]:
+        return iter(tuple(self._riders))
+
+    def __len__(self) -> int:
+        return len(self._riders)
+
+    @property
+    def first(self) -> Rider | None:
+        return self._riders[0] if self._riders else None
+
+    @property
+    def coupled(self) -> tuple[Rider, ...]:
+        return tuple(rider for rider in self._riders if rider.coupled)
+
+    @property
+    def next_to_couple(self) -> Rider | None:
+        """Riders couple one after another, from the front."""
+        return next((rider for rider in self._riders if not rider.coupled), None)
+
+    @property
+    def next_to_leave(self) -> Rider | None:
+        return min(self.coupled, key=lambda rider: rider.left_m, default=None)
+
+    def find(self, message: Message) -> Rider | None:
+        """The rider that sends a message of its present ride."""
+        for rider in self._riders:
+            if (rider.offer.hitchhiker, rider.offer.ride_id) == (message.robot_id, message.ride_id):
+                return rider
+        return None
+
+    def of(self, hitchhiker: str) -> Rider | None:
+        return next((rider for rider in self._riders if rider.offer.hitchhiker == hitchhiker), None)
+
+    def add(self, rider: Rider, may_pass: bool = False) -> None:
+        """Behind all others, or ``may_pass`` those that are not coupled and will be there later: who comes first waits
+        in front."""
+        k = len(self._riders)
+        while may_pass and k > 0 and not self._riders[k - 1].coupled and self._riders[k - 1].due > rider.due:
+            k -= 1
+        self._riders.insert(k, rider)
+
+    def remove(self, rider: Rider) -> None:
+        """Those behind it move up."""
+        self._riders.remove(rider)
+
+    def place(self, rider: Rider) -> int:
+        return self._riders.index(rider) + 1
+
+    def ahead_of(self, rider: Rider) -> Plate:
+        """The plate that ``rider`` follows: of the next robot ahead that has one."""
+        plates = [ahead.plate for ahead in self._riders[: self._riders.index(rider)] if ahead.plate is not None]
+        return plates[-1] if plates else self._plate
+
+    def pose_ahead_of(self, rider: Rider, driver: PoseEstimate, mounting: FloatArray) -> PoseEstimate:
+        """Where the robot is that ``rider`` follows, from the driver's own pose and what the riders between see."""
+        here, plate = driver, self._plate
+        for ahead in self._riders[: self._riders.index(rider)]:
+            if ahead.plate is None:
+                continue
+            if ahead.seen is None:
+                behind = compose(here.pose, inverse(_UNSEEN))
+                here = PoseEstimate(driver.stamp, behind, here.covariance + _UNSEEN_SIGMA)
+            else:
+                here = handover("measured", here, ahead.seen, plate.marker_pose, mounting)
+            plate = ahead.plate
+        return PoseEstimate(driver.stamp, here.pose, here.covariance)

@@ -1,0 +1,1 @@
+"""The hitchhiker: its states, from asking to driving on alone."""

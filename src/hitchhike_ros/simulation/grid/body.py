@@ -1,0 +1,231 @@
+"""Where a robot of the grid simulator is at any time: it moves by formula between events, on a path or a trail."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.geometry import wrap_angle
+
+# Whoever drives looks along the chord of this much of its path to either side: it rounds corners, not turns at them.
+_CHORD_M = 0.5
+# So much of its own trail a robot remembers for those who follow it.
+_TRAIL_M = 12.0
+# It is looked for what can be forgotten when there are more points than so many (chosen).
+_KNOTS = 32
+_TINY_M = 1e-6
+
+
+class Body:
+    """A point with a heading. Turning costs no time, and so does changing speed; bodies pass through each other.
+
+    ``odometer_m`` is the way driven in all. ``speed_mps`` is the speed now. Every question is about ``time``, the
+    time of the last :meth:`advance`.
+    """
+
+    def __init__(self, pose: Pose2D, time: float) -> None:
+        self.x, self.y, self.time = pose.x, pose.y, time
+        self.odometer_m = 0.0
+        self._theta: float | None = pose.theta
+        # What it has driven and what lies before it, by odometer: the trail behind, then the path ahead.
+        self._s, self._xs, self._ys = [0.0], [pose.x], [pose.y]
+        self._leg_began = 0.0
+        self._speed = 0.0
+        self._end_theta: float | None = None
+        self._leader: Body | None = None
+        self._lag_m = self._joined_m = self._follow_began = self._leader_began = self._seen_m = self._top_speed = 0.0
+        self._sees = False
+
+    @property
+    def moves(self) -> bool:
+        """Whether it may be somewhere else a moment later."""
+        return self._leader is not None or (self._speed > 0.0 and self.odometer_m < self._s[-1])
+
+    @property
+    def speed_mps(self) -> float:
+        if self._leader is not None:
+            if self.odometer_m < self._target_m() - _TINY_M:
+                return self._top_speed
+            return self._leader.speed_mps if self._sees else 0.0
+        return self._speed if self.odometer_m < self._s[-1] - _TINY_M else 0.0
+
+    @property
+    def remaining_m(self) -> float:
+        """What is left of its path."""
+        return self._s[-1] - self.odometer_m
+
+    @property
+    def leader(self) -> Body | None:
+        """Whose trail it follows."""
+        return self._leader
+
+    @property
+    def sees(self) -> bool:
+        """Whether it saw, when it looked last, whom it follows."""
+        return self._sees
+
+    @property
+    def arrives(self) -> float:
+        """When it comes to the end of its path; never, where it stands or follows."""
+        if self._leader is not None or self._speed <= 0.0 or self.remaining_m <= _TINY_M:
+            return math.inf
+        return self.time + self.remaining_m / self._speed
+
+    @property
+    def path(self) -> list[tuple[float, float]]:
+        """What lies before it, itself first."""
+        k = bisect_right(self._s, self.odometer_m)
+        return [(self.x, self.y), *zip(self._xs[k:], self._ys[k:], strict=True)]
+
+    @property
+    def pose(self) -> Pose2D:
+        return Pose2D(self.x, self.y, self.theta)
+
+    @property
+    def theta(self) -> float:
+        if self._theta is None:
+            self._theta = self._heading()
+        return self._theta
+
+    def advance(self, time: float) -> None:
+        """On to ``time``, which is not before that of the last call."""
+        passed, self.time = time - self.time, max(time, self.time)
+        if passed <= 0.0:
+            return
+        if self._leader is not None:
+            self._leader.advance(time)
+            if self._sees:
+                self._seen_m = self._leader.odometer_m
+            self._creep(min(self._target_m(), self.odometer_m + self._top_speed * passed))
+        elif self._speed > 0.0 and self.odometer_m < self._s[-1]:
+            self._go_to(min(self.odometer_m + self._speed * passed, self._s[-1]))
+
+    def drive(self, path: FloatArray, speed_mps: float, end_theta: float | None) -> None:
+        """Along ``path`` (N, 2), which begins here; at its end it looks along ``end_theta``, or as it came."""
+        self._forget_future()
+        for x, y in path[1:].tolist():
+            step = math.hypot(x - self._xs[-1], y - self._ys[-1])
+            if step > _TINY_M:
+                self._append(self._s[-1] + step, x, y)
+        self._leg_began, self._speed, self._end_theta = self.odometer_m, speed_mps, end_theta
+        if self.remaining_m <= _TINY_M:
+            self._theta = self.theta if end_theta is None else end_theta
+        else:
+            self._theta = None
+
+    def set_speed(self, speed_mps: float) -> None:
+        """From now on."""
+        self._speed = speed_mps
+
+    def stop(self) -> None:
+        """Stand here, whatever was before."""
+        theta = self.theta
+        self._forget_future()
+        self._theta, self._speed = theta, 0.0
+
+    def turn(self, theta: float) -> None:
+        """Stand here and look along ``theta``."""
+        self.stop()
+        self._theta = theta
+
+    def follow(self, leader: Body, lag_m: float, top_speed_mps: float) -> None:
+        """Up to ``lag_m`` behind ``leader``, straight to where it is now and from there on its trail."""
+        self.stop()
+        self._leader, self._lag_m, self._top_speed = leader, lag_m, top_speed_mps
+        self._joined_m = math.hypot(leader.x - self.x, leader.y - self.y)
+        self._follow_began, self._leader_began, self._seen_m = self.odometer_m, leader.odometer_m, leader.odometer_m
+        self._leg_began = self.odometer_m
+        self._straight = (self.x, self.y), (leader.x, leader.y)
+
+    def look(self, sees: bool) -> None:
+        """Whether it sees now whom it follows; where it does not, it goes as far as it has seen the other go."""
+        self._sees = sees
+        leader = self._leader
+        if sees and leader is not None:
+            self._seen_m = leader.odometer_m
+            if math.hypot(leader.x - self.x, leader.y - self.y) > _TINY_M:
+                self._theta = math.atan2(leader.y - self.y, leader.x - self.x)
+
+    def point(self, s: float) -> tuple[float, float]:
+        """Where it was, or will be, when the odometer says ``s``; as far as it remembers."""
+        knots = self._s
+        if s <= knots[0]:
+            return self._xs[0], self._ys[0]
+        if s >= knots[-1]:
+            return self._xs[-1], self._ys[-1]
+        k = bisect_right(knots, s)
+        f = (s - knots[k - 1]) / (knots[k] - knots[k - 1])
+        return (
+            self._xs[k - 1] + f * (self._xs[k] - self._xs[k - 1]),
+            self._ys[k - 1] + f * (self._ys[k] - self._ys[k - 1]),
+        )
+
+    def _target_m(self) -> float:
+        """On the own odometer, how far it may go behind its leader."""
+        gone = self._seen_m - self._leader_began
+        return max(self._follow_began + self._joined_m + gone - self._lag_m, self.odometer_m)
+
+    def _creep(self, s: float) -> None:
+        """On along the leader's trail, and leave the same trail."""
+        leader, began = self._leader, self._follow_began
+        assert leader is not None
+        if s <= self.odometer_m:
+            return
+        straight = began + self._joined_m
+        if self.odometer_m < straight:
+            (x0, y0), (x1, y1) = self._straight
+            part = min(s, straight) - began
+            f = part / self._joined_m if self._joined_m else 1.0
+            self._append(min(s, straight), x0 + f * (x1 - x0), y0 + f * (y1 - y0))
+        if s > straight:
+            offset = self._leader_began - straight
+            for k in range(bisect_right(leader._s, max(self.odometer_m, straight) + offset), len(leader._s)):
+                if leader._s[k] >= s + offset:
+                    break
+                self._append(leader._s[k] - offset, leader._xs[k], leader._ys[k])
+            self._append(s, *leader.point(s + offset))
+        self.odometer_m, self._theta = s, None
+        self.x, self.y = self._xs[-1], self._ys[-1]
+        self._prune()
+
+    def _append(self, s: float, x: float, y: float) -> None:
+        if s > self._s[-1]:
+            self._s.append(s)
+            self._xs.append(x)
+            self._ys.append(y)
+
+    def _go_to(self, s: float) -> None:
+        if s > self._s[-1] - _TINY_M:
+            s = self._s[-1]
+        self.odometer_m = s
+        self.x, self.y = self.point(s)
+        self._theta = None
+        if s >= self._s[-1]:
+            self._theta = self._end_theta
+        self._prune()
+
+    def _forget_future(self) -> None:
+        """What lies ahead is another matter from here on."""
+        k = bisect_right(self._s, self.odometer_m)
+        for knots in (self._s, self._xs, self._ys):
+            del knots[k:]
+        self._append(self.odometer_m, self.x, self.y)
+        self._leader, self._sees = None, False
+
+    def _prune(self) -> None:
+        """Forget what is farther back than anybody follows; not at every step."""
+        if len(self._s) <= _KNOTS:
+            return
+        k = bisect_right(self._s, self.odometer_m - _TRAIL_M) - 1
+        if k > _KNOTS:
+            for knots in (self._s, self._xs, self._ys):
+                del knots[:k]
+
+    def _heading(self) -> float:
+        """Along the chord of the path around here."""
+        back, ahead = max(self.odometer_m - _CHORD_M, self._leg_began), self.odometer_m + _CHORD_M
+        (x0, y0), (x1, y1) = self.point(back), self.point(ahead)
+        if math.hypot(x1 - x0, y1 - y0) < _TINY_M:
+            (x0, y0), (x1, y1) = self.point(self.odometer_m - 0.01), self.point(self.odometer_m + 0.01)
+        return wrap_angle(math.atan2(y1 - y0, x1 - x0))

@@ -1,0 +1,1 @@
+"""The pybullet world: bodies, wheels, lasers and cameras."""

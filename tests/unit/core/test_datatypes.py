@@ -1,0 +1,37 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from hitchhike_ros.core.datatypes import CameraInfo, LaserScan, Pose2D, Twist2D
+
+
+def test_finite_means_every_number() -> None:
+    for value in (math.nan, math.inf, -math.inf):
+        assert not Pose2D(x=value).is_finite()
+        assert not Pose2D(y=value).is_finite()
+        assert not Pose2D(theta=value).is_finite()
+        assert not Twist2D(v=value).is_finite()
+        assert not Twist2D(omega=value).is_finite()
+    assert Pose2D(1, 2, 3).is_finite()
+    assert Twist2D(1, 2).is_finite()
+
+
+def test_values_are_frozen() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Pose2D().x = 1.0  # type: ignore[misc]
+
+
+def test_scan_of_rep_117() -> None:
+    """+inf is no return, -inf is too close, NaN is broken, and a range outside the sensor's limits is no hit."""
+    ranges = np.array([0.5, np.inf, -np.inf, np.nan, 0.01, 9.0, 8.0])
+    scan = LaserScan(0.0, -1.0, 0.25, range_min=0.02, range_max=8.0, ranges=ranges)
+    np.testing.assert_array_equal(scan.valid(), [True, False, False, False, False, False, True])
+    np.testing.assert_allclose(scan.angles(), [-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5])
+
+
+def test_cameras_do_not_share_their_distortion() -> None:
+    a, b = (CameraInfo(640, 480, np.eye(3)) for _ in range(2))
+    a.D[0] = 1.0
+    assert b.D[0] == 0.0

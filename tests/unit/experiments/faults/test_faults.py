@@ -1,0 +1,148 @@
+"""Fault runs: nothing is broken, runs repeat, and the referee sees it when a rule is broken on purpose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import islice
+from typing import Any
+
+import pytest
+
+from hitchhike_ros.experiments.faults.fleets import SEVERE, fault_run
+from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.driver import machine as d
+from hitchhike_ros.protocol.driver.convoy import Convoy, Rider
+from hitchhike_ros.protocol.driver.machine import DriverMachine
+from hitchhike_ros.protocol.hitchhiker import machine as h
+from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
+from hitchhike_ros.protocol.machine import Award, Machine, TakeObstacles
+
+# Bad networks and worse ones take turns.
+SEEDS = [seed for k in range(100) for seed in (k, SEVERE + k)]
+
+
+def test_no_invariant_is_broken() -> None:
+    results = [fault_run(seed) for seed in SEEDS[:40]]
+    assert [(r.seed, r.failure) for r in results if r.failure] == []
+    assert sum(r.completed for r in results) >= 10  # there was something to break
+
+
+@pytest.mark.parametrize("seed", [3, SEVERE + 3])
+def test_a_run_repeats(seed: int) -> None:
+    assert fault_run(seed) == fault_run(seed)
+
+
+Patch = Callable[[pytest.MonkeyPatch], None]
+
+
+def _before(cls: type, name: str, change: Callable[..., Any]) -> Patch:
+    """The method with ``change(original, self, *args)`` in its place."""
+
+    def patch(monkeypatch: pytest.MonkeyPatch) -> None:
+        original = getattr(cls, name)
+        monkeypatch.setattr(cls, name, lambda self, *args, **kw: change(original, self, *args, **kw))
+
+    return patch
+
+
+def _without_timeout(cls: type[Machine[Any]], state: object) -> Patch:
+    def patch(monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(cls, "TIMEOUTS", tuple(t for t in cls.TIMEOUTS if t.state is not state))
+
+    return patch
+
+
+def _credit_twice(original: Any, self: DriverMachine, *args: Any, **kw: Any) -> None:
+    original(self, *args, **kw)
+    self._effects += [effect for effect in self._effects if isinstance(effect, Award)]
+
+
+def _forget_offers(_original: Any, self: HitchhikerMachine) -> None:
+    self._offers = {}
+
+
+def _without_obstacles(original: Any, self: HitchhikerMachine, *args: Any) -> None:
+    original(self, *args)
+    self._effects[:] = [effect for effect in self._effects if not isinstance(effect, TakeObstacles)]
+
+
+def _count_twice(original: Any, self: DriverMachine, *args: Any, **kw: Any) -> None:
+    before = {id(rider): rider.ridden_m for rider in self._convoy}
+    original(self, *args, **kw)
+    for rider in self._convoy:
+        rider.ridden_m += rider.ridden_m - before[id(rider)]
+
+
+def _never_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DriverMachine, "free_places", property(lambda _self: 1))
+
+
+def _fast_with_riders(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DriverMachine, "speed_limit_mps", property(lambda self: self.params.safe_speed_mps))
+
+
+def _keep(_original: Any, self: Convoy, rider: Rider) -> None:
+    self._riders[self._riders.index(rider)] = replace(rider)
+
+
+def _join_again(original: Any, self: DriverMachine, lock: Any) -> None:
+    rider = self._convoy.find(lock)
+    if rider is not None:
+        self._convoy.add(replace(rider))
+    original(self, lock)
+
+
+def _credit_nobody(original: Any, self: DriverMachine, *args: Any, **kw: Any) -> None:
+    original(self, *args, **kw)
+    self._effects[:] = [effect for effect in self._effects if not isinstance(effect, Award)]
+
+
+def _wait_for_coupling(monkeypatch: pytest.MonkeyPatch) -> None:
+    _without_timeout(DriverMachine, d.S.ALIGNED)(monkeypatch)
+    _before(DriverMachine, "_drop_silent", _nothing)(monkeypatch)
+
+
+def _nothing(*_: Any, **__: Any) -> None:
+    return None
+
+
+MUTATIONS: dict[str, Patch] = {
+    "skip the cancel": _before(HitchhikerMachine, "_cancel_offers", _forget_offers),
+    "leave late offers unanswered": _before(HitchhikerMachine, "_refuse_offer", _nothing),
+    "credit twice": _before(DriverMachine, "_finish", _credit_twice),
+    "credit nobody": _before(DriverMachine, "_finish", _credit_nobody),
+    "count metres twice": _before(DriverMachine, "_count_metres", _count_twice),
+    "never count metres": _before(DriverMachine, "_count_metres", _nothing),
+    "wait for a rider for ever": _without_timeout(DriverMachine, d.S.WAITING_FOR_RIDER),
+    "wait for coupling for ever": _wait_for_coupling,
+    "hand over for ever": _without_timeout(DriverMachine, d.S.DECOUPLING),
+    "ask for a lock for ever": _without_timeout(HitchhikerMachine, h.S.LOCKING),
+    "believe in a silent driver": _before(HitchhikerMachine, "_silent", lambda *_: False),
+    "never miss a rider": _before(DriverMachine, "_missing", lambda *_: ()),
+    "keep a rider that has left": _before(DriverMachine, "_rider_gone", _nothing),
+    "keep a rider that was handed over": _before(Convoy, "remove", _keep),
+    "give a place twice": _before(DriverMachine, "_confirm_lock", _join_again),
+    "more riders than places": _never_free,
+    "take the map without its boxes": _before(HitchhikerMachine, "_restart_from", _without_obstacles),
+    "forget the goal after a ride": _before(Traveller, "_go_on", lambda *_: []),
+    "say everything at every tick": _before(Machine, "_every", lambda *_: True),
+    "hurry with a rider": _fast_with_riders,
+}
+
+
+@pytest.mark.parametrize("rule", MUTATIONS)
+def test_a_rule_that_is_broken_on_purpose_is_caught_within_200_seeds(
+    rule: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    MUTATIONS[rule](monkeypatch)
+    caught = islice((result for result in map(_run, SEEDS) if result), 1)
+    assert next(caught, ""), f"{len(SEEDS)} runs hold although they {rule}"
+
+
+def _run(seed: int) -> str:
+    """What the run of a seed breaks; a machine that falls over what a rule would have kept from it counts."""
+    try:
+        return fault_run(seed).failure
+    except (AssertionError, AttributeError, KeyError, ValueError, StopIteration, TypeError) as exc:
+        return f"{type(exc).__name__}: {exc}"
