@@ -1,10 +1,15 @@
-"""Fixtures that several tests use."""
+"""Fixtures that several tests use, and how Hypothesis runs the property tests."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# No property test depends on how fast the machine is: neither an example nor the drawing of examples has a time limit.
+settings.register_profile("hitchhike_ros", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("hitchhike_ros")
 
 
 @pytest.fixture(scope="session")

@@ -370,7 +370,7 @@ boxes = st.lists(
 )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(boxes, st.sampled_from([P3DX, TURTLEBOT]), st.sampled_from([0.5, 0.7, 1.0]), st.integers(0, 3))
 def test_random_boxes_are_never_touched(rectangles: list, limits: RobotLimits, speed: float, seed: int) -> None:
     path = [(6.5, 5.72), (11.0, 5.72)]

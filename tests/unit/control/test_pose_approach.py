@@ -17,7 +17,7 @@ from hitchhike_ros.core.geometry import wrap_angle, wrap_angles
 NEAR_M, REVERSE_MPS = 0.05, 0.4
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.floats(0.2, 1.5),
     st.floats(-math.pi, math.pi),

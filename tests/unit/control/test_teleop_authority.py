@@ -270,7 +270,7 @@ def test_near_its_goal_it_parks_while_the_human_wants_it_to_move() -> None:
 wishes = st.lists(st.tuples(st.integers(-15, 15), st.integers(-20, 20)), min_size=3, max_size=8)  # tenths
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(wishes, st.booleans())
 @example([(0, 10), (-3, 0), (-10, 0)], False)  # towards a wall that it has forgotten
 def test_whatever_the_human_wants_nothing_is_touched(wanted: list, gentle: bool) -> None:

@@ -24,7 +24,7 @@ def scan_at(pose: Pose2D, seed: int = 0) -> LaserScan:
     return world.scan()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.floats(0.6, 20.0),
     st.floats(0.5, 2.4),

@@ -59,7 +59,7 @@ def dijkstra_cost(cost: np.ndarray, start, goal) -> float:
 
 
 @given(problems())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_the_reference_is_optimal(problem):
     cost, start, goal = problem
     result = search_reference(cost, start, goal)
@@ -67,7 +67,7 @@ def test_the_reference_is_optimal(problem):
 
 
 @given(problems())
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 def test_compiled_and_reference_agree(problem):
     cost, start, goal = problem
     result, reference = search(cost, start, goal), search_reference(cost, start, goal)
@@ -79,7 +79,7 @@ def test_compiled_and_reference_agree(problem):
 
 
 @given(problems())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_reachable_means_four_connected(problem):
     cost, start, goal = problem
     labels, _ = ndimage.label(is_passable(cost))
@@ -87,7 +87,7 @@ def test_reachable_means_four_connected(problem):
 
 
 @given(problems())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_the_way_back_costs_the_same(problem):
     cost, start, goal = problem
     assert search(cost, start, goal).cost == pytest.approx(search(cost, goal, start).cost, abs=1e-9)

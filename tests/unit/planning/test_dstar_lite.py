@@ -38,7 +38,7 @@ def journeys(draw):
 
 @BOTH
 @given(journeys())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_every_repair_costs_what_a_fresh_search_finds(planner, journey):
     cost, start, goal, events = journey
     its = planner(cost)

@@ -82,7 +82,7 @@ def test_it_goes_round_a_box_with_room_to_spare_and_keeps_to_the_middle_of_a_gap
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_among_random_boxes_a_plan_is_safe_or_there_is_a_reason(seed):
     rng = np.random.default_rng(seed)
     boxes = [Obstacle(str(i), *rng.uniform((0, 0, 0.05, 0.05), (5.5, 3.5, 0.6, 0.6))) for i in range(10)]
@@ -173,7 +173,7 @@ def test_smoothing_shortens_and_gives_up_no_more_than_a_cell_of_clearance():
 
 
 @given(st.floats(0.05, 5.95), st.floats(0.05, 3.95), st.floats(0.0, 2.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_relaxed_goal_is_the_nearest_place_to_stand_within_tolerance(x, y, tolerance):
     grid, its, goal = room().with_obstacles([Obstacle("box", 2.0, 1.0, 1.5, 1.5)]), planner(), Pose2D(x, y, 1.0)
     cost, found = its.costmap(grid).cost, its.relax(grid, goal, tolerance)

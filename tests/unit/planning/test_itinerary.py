@@ -256,7 +256,7 @@ def test_a_way_that_only_a_driver_knows():
 
 
 @given(SEEDS)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_no_itinerary_is_cheaper(seed):
     asked, drivers, parameters = small_fleet(seed)
     plan = plan_itinerary(asked, drivers[:5], parameters=parameters)
@@ -265,7 +265,7 @@ def test_no_itinerary_is_cheaper(seed):
 
 
 @given(SEEDS, st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_legs_join_keep_the_rules_and_add_up_to_the_cost(seed, large):
     if large:
         asked, drivers = building_fleet(np.random.default_rng(seed), 15)
@@ -299,7 +299,7 @@ def test_legs_join_keep_the_rules_and_add_up_to_the_cost(seed, large):
 
 
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_one_more_driver_never_costs_more(seed):
     random = np.random.default_rng(seed)
     asked, drivers = building_fleet(random, 12)

@@ -34,7 +34,7 @@ def winding_paths(draw):
 
 
 @given(winding_paths())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_path_shares_all_of_itself_and_nothing_with_its_reverse(path):
     overlap = common_stretch(path, path, TOLERANCE)
     assert overlap.length_m == pytest.approx(path_length(path))
@@ -44,7 +44,7 @@ def test_a_path_shares_all_of_itself_and_nothing_with_its_reverse(path):
 
 
 @given(winding_paths(), st.floats(0.1, 0.9), st.floats(0.1, 0.9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_part_is_found_where_it_is(path, one, other):
     low, high = sorted((one, other))
     total = path_length(path)
@@ -60,7 +60,7 @@ def test_a_part_is_found_where_it_is(path, one, other):
 
 
 @given(winding_paths(), st.floats(-math.pi, math.pi), st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_it_does_not_depend_on_where_the_map_lies(path, angle, shift):
     other = path + np.linspace(0, 1, len(path))[:, None] * [0.0, 0.8]
     R = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -70,7 +70,7 @@ def test_it_does_not_depend_on_where_the_map_lies(path, angle, shift):
 
 
 @given(winding_paths())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_both_paths_find_about_the_same_length(path):
     other = path + np.linspace(0, 1, len(path))[:, None] * [0.0, 0.8]
     there, back = common_stretch(path, other, TOLERANCE), common_stretch(other, path, TOLERANCE)

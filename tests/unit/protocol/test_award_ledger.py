@@ -55,7 +55,7 @@ def test_another_ride_is_another_credit(ledger: AwardLedger, change: dict[str, s
     assert ledger.credits() == [RIDE, other]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(CREDITS, st.data())
 def test_repeated_reordered_and_restarted(credits: list[Credit], data: st.DataObject) -> None:
     """Every credit arrives at least once, some again and changed, in any order, before and after restarts."""
@@ -74,7 +74,7 @@ def test_repeated_reordered_and_restarted(credits: list[Credit], data: st.DataOb
         assert AwardLedger(path).credits() == in_order(list(first.values())) if first else not path.exists()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(CREDITS, st.integers(0, 8))
 def test_what_is_not_committed_is_undone(credits: list[Credit], done: int) -> None:
     """As a crash leaves it: some credits whole, the next in the file and its journal, but not committed."""

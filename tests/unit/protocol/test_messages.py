@@ -93,7 +93,7 @@ def _with(content: Any, where: tuple[Any, ...], value: Any) -> Any:
     return copy
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.one_of(*(_strategy(cls) for cls in MESSAGE_TYPES.values())))
 def test_every_message_survives_the_network(message: Message) -> None:
     assert decode(encode(message)) == message
@@ -196,7 +196,7 @@ _JSON = st.recursive(
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.sampled_from(list(messages().values())), st.data())
 def test_fuzzed_fields_are_read_or_refused(message: Message, data: st.DataObject) -> None:
     content = json.loads(encode(message))

@@ -348,7 +348,7 @@ def test_memory_fades():
     assert wrap_angle(seen.pose.theta - math.pi) == pytest.approx(0.4, abs=0.15)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(0.4, 3.0), st.floats(-1.2, 1.2))
 def test_covariances_are_symmetric_and_positive(distance, yaw):
     detector = MarkerDetector()

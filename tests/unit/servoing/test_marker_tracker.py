@@ -287,7 +287,7 @@ def test_a_distorted_marker_is_carried():
     assert carried == 3
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(0.0, 639.0), st.floats(0.0, 479.0))
 def test_a_lens_and_back(u, v):
     lens = Lens(replace(CAMERA, D=D))

@@ -32,7 +32,7 @@ def scene(side: float, shift: tuple[float, float] = (0.0, 0.0), seed: int = 0) -
     return cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.uint8), square
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(24.0, 160.0), st.floats(-22.0, 22.0), st.floats(-22.0, 22.0))
 def test_the_shift_is_found_to_where_lines_can_be_sought(side: float, dx: float, dy: float) -> None:
     before, corners = scene(side)

@@ -52,7 +52,7 @@ def test_errors_are_whitened():
         SquareView.with_covariance(np.zeros((4, 2)), np.zeros((8, 8)), SIZE)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.floats(0.3, 3.0), st.floats(-1.2, 1.2), st.floats(-0.3, 0.3), st.floats(-0.4, 0.4), st.integers(0, 99))
 def test_exact_corners_give_the_exact_pose(distance, yaw, pitch, x, seed):
     T = images.marker_pose(distance, yaw, pitch, x * distance, 0.1 * distance)
@@ -63,7 +63,7 @@ def test_exact_corners_give_the_exact_pose(distance, yaw, pitch, x, seed):
     assert np.abs(project_corners(poses[0], SIZE) - projected(T)).max() < 1e-6
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(0.4, 2.0), st.floats(0.5, 1.1), st.sampled_from([-1.0, 1.0]), st.integers(0, 99))
 def test_least_squares_are_those_of_scipy(distance, yaw, side, seed):
     T = images.marker_pose(distance, side * yaw, 0.1, 0.1 * distance, -0.05 * distance)

@@ -54,7 +54,7 @@ def assignments(observations: int):
 PICTURES = st.lists(st.builds(observation, st.floats(3.0, 5.2), st.floats(-0.5, 0.5)), min_size=1, max_size=3)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(PICTURES, st.sampled_from([0.01, 0.1, 1.0]))
 def test_joint_association_is_as_likely_as_the_best_by_brute_force(picture, clutter_density):
     everything = HypothesesParameters(clutter_density=clutter_density, gate=FAR, most=200, merge=1e-12)
