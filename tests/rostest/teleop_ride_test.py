@@ -32,12 +32,12 @@ class TeleopRideTest(network_ride_test.NetworkRideTest):
     def setUpClass(cls) -> None:
         path = Path(rospy.get_param("~counts"))
         path.unlink(missing_ok=True)
-        cls.commands, hands = [], []
+        cls.commands, in_hand = [], []
         subscribers = [
             rospy.Subscriber(f"/{name}/cmd_vel/teleop", Twist, lambda msg, who=name: cls.commands.append((who, msg)))
             for name in (DRIVER, RIDER)
         ]
-        subscribers.append(rospy.Subscriber(f"/{DRIVER}/teleop/active", Bool, lambda msg: hands.append(msg.data)))
+        subscribers.append(rospy.Subscriber(f"/{DRIVER}/teleop/active", Bool, lambda msg: in_hand.append(msg.data)))
         super().setUpClass()
         end = time.monotonic() + COUNTED_S
         while not cls.trouble and not (path.exists() and path.read_text(encoding="utf-8").endswith("}\n")):
@@ -46,7 +46,7 @@ class TeleopRideTest(network_ride_test.NetworkRideTest):
             time.sleep(0.1)
         if not cls.trouble:
             cls.counts = json.loads(path.read_text(encoding="utf-8"))
-            cls.hands = hands
+            cls.in_hand = in_hand
             print(cls.counts)
         for subscriber in subscribers:
             subscriber.unregister()
@@ -73,7 +73,7 @@ class TeleopRideTest(network_ride_test.NetworkRideTest):
         self.assertEqual(self.counts["keys"] + 48 * self.counts["commands"], self.counts["bytes"])
 
     def test_the_human_took_the_robot_and_gave_it_back(self) -> None:
-        self.assertEqual((True, False), (self.hands[0], self.hands[-1]))
+        self.assertEqual((True, False), (self.in_hand[0], self.in_hand[-1]))
 
 
 if __name__ == "__main__":

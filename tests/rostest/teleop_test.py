@@ -69,10 +69,10 @@ class TeleopTest(unittest.TestCase):
     def setUp(self) -> None:
         self.watch = Watch()
         self.commands: list[tuple[float, Twist]] = []
-        self.hands: list[bool] = []
+        self.in_hand: list[bool] = []
         self.watch.subscribe(f"{ROBOT}/cmd_vel/teleop", Twist, lambda m: self.commands.append((time.monotonic(), m)))
         self.watch.subscribe(f"{ROBOT}/cmd_vel", Twist)
-        self.watch.subscribe(f"{ROBOT}/teleop/active", Bool, lambda m: self.hands.append(m.data))
+        self.watch.subscribe(f"{ROBOT}/teleop/active", Bool, lambda m: self.in_hand.append(m.data))
         self.status = rospy.Publisher(f"{ROBOT}/hhike_msg/status", String, queue_size=1, latch=True)
         self.say()
         self.terminals: list[Terminal] = []
@@ -93,14 +93,14 @@ class TeleopTest(unittest.TestCase):
         self.until(lambda: publisher.get_num_connections() > 0, "teleop hears the joystick")
         self.joy = publisher
         # Its commands arrive here.
-        self.hands.clear()
+        self.in_hand.clear()
         self.until(lambda: self.heard(terminal), "its commands arrive")
         return terminal
 
     def heard(self, terminal: Terminal) -> bool:
         terminal.press(" ")
         time.sleep(0.2)
-        return bool(self.hands) and bool(self.commands)
+        return bool(self.in_hand) and bool(self.commands)
 
     def until(self, condition: object, what: str) -> None:
         assert callable(condition)
@@ -116,7 +116,7 @@ class TeleopTest(unittest.TestCase):
         terminal.press("w")
         pressed = time.monotonic()
         self.until(lambda: self.newest() == (0.5, 0.0), "ahead")
-        self.assertTrue(self.hands[-1])
+        self.assertTrue(self.in_hand[-1])
         self.until(lambda: self.newest() == (0.0, 0.0), "the dead man stops")
         self.assertAlmostEqual(0.8, self.commands[-1][0] - pressed, delta=0.4)
         self.until(lambda: time.monotonic() - self.commands[-1][0] > 1.0, "silence")
@@ -174,9 +174,9 @@ class TeleopTest(unittest.TestCase):
     def test_it_gives_the_robot_back(self) -> None:
         terminal = self.start()
         terminal.press("w")
-        self.until(lambda: self.hands[-1], "in hand")
+        self.until(lambda: self.in_hand[-1], "in hand")
         terminal.press("x")
-        self.until(lambda: not self.hands[-1], "given back")
+        self.until(lambda: not self.in_hand[-1], "given back")
 
     def test_a_joystick_drives(self) -> None:
         self.start()
@@ -199,7 +199,7 @@ class TeleopTest(unittest.TestCase):
                 terminal.press("\x03" if how == "Ctrl-C" else "\x04")
             terminal.process.wait(WAIT_S)
             self.until(terminal.restored, f"restored after {how}")
-            self.until(lambda: self.newest() == (0.0, 0.0) and not self.hands[-1], f"given back after {how}")
+            self.until(lambda: self.newest() == (0.0, 0.0) and not self.in_hand[-1], f"given back after {how}")
             self.assertNotIn(b"Traceback", terminal.shown, how)
 
     def test_bad_parameters_leave_the_terminal_alone(self) -> None:

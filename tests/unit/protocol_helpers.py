@@ -34,7 +34,7 @@ from hitchhike_ros.protocol.messages import (
     Lock,
     Message,
     NewObstacles,
-    Plate,
+    RearMarker,
     Request,
     RequestCancel,
     Terminate,
@@ -55,7 +55,7 @@ SITES = Sites((Marker(10, 5.2, 6.62, 0.3, math.pi),), (WEST,))
 DRIVER_GOAL, RIDER_GOAL = Pose2D(25.0, 9.5, math.pi / 2), Pose2D(25.0, 2.5, -math.pi / 2)
 CAMERA = (0.15, 0.0)
 MARKER_POSE = Pose2D(-0.25, 0.0, math.pi)  # on the driver's back
-PLATE = Plate(marker_id=1, marker_size_m=0.16, marker_pose=MARKER_POSE)  # on the rider's
+REAR_MARKER = RearMarker(marker_id=1, marker_size_m=0.16, marker_pose=MARKER_POSE)  # on the rider's
 PATH = ((3.0, 5.72, 0.0), (25.0, 5.72, 40.0), (25.0, 9.5, 47.0))  # the driver's
 BOXES = (
     Obstacle("obs1", 9.24, 6.08, 0.28, 0.16),
@@ -86,7 +86,7 @@ def messages(robot_id: str = DRIVER, to: str = RIDER, ride_id: str = "ride") -> 
             path=PATH,
             free_places=1,
         ),
-        Request(**head, x=1.8, y=5.72, theta=0.0, goal=RIDER_GOAL, profile=50.0, plate=PLATE),
+        Request(**head, x=1.8, y=5.72, theta=0.0, goal=RIDER_GOAL, profile=50.0, rear_marker=REAR_MARKER),
         Accept(
             **head,
             **pose,

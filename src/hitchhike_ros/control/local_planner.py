@@ -12,21 +12,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from hitchhike_ros.control.clearance import ClearanceField, Footprint
 from hitchhike_ros.control.detour import Detour, DetourPlanner
 from hitchhike_ros.control.dynamic_window import brake, roll_out, window
+from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.pose_approach import CURVES, PERIOD_S, Curve, roll_out_approach
 from hitchhike_ros.control.recovery import Recovery, RecoveryStep
 from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.control.trail import Trail
-from hitchhike_ros.core.datatypes import FloatArray, LaserScan, NonNegative, Pose2D, Positive, Twist2D, UnitInterval
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, Twist2D
 from hitchhike_ros.core.errors import PlanningError, SensorDataError
 from hitchhike_ros.core.geometry import between, distance
 from hitchhike_ros.core.robot_model import RobotLimits
@@ -34,7 +34,6 @@ from hitchhike_ros.core.robot_model import RobotLimits
 State = Literal["driving", "arrived", "blocked"]
 # A robot's outline as points no farther apart than the field's cells.
 _OUTLINE_POINTS = 48
-Samples = Annotated[int, msgspec.Meta(ge=2)]
 # An approach ends within this share of the goal's tolerance; what is left of the heading is then turned standing.
 _CURVE_ENDS = 0.8
 # Backing up: the place to steer for, so far along the way back, and what is tried beside that arc, rad/s.
@@ -44,60 +43,6 @@ _BACK_YAW_RATES = np.array([0.0, 0.1, -0.1, 0.2, -0.2, 0.4, -0.4])
 _BY_HAND_SHARES = np.array([1.0, 0.8, 0.6, 0.4, 0.2, 0.0])
 # On the spot with a rider behind: so slowly that its marker stays in view (rad/s).
 _GENTLE_TURN_RPS = 0.1
-
-
-@dataclass(frozen=True)
-class ObstacleAvoidanceParameters:
-    """Section ``obstacle_avoidance``. All values are chosen; the papers name no controller."""
-
-    goal_tolerance_m: Positive = 0.10
-    goal_tolerance_rad: Positive = 0.087  # 5°
-    max_age_s: Positive = 0.25  # an older scan is no basis for motion
-    max_nan_fraction: UnitInterval = 0.1
-    margin_m: NonNegative = 0.05  # the footprint never comes closer than this on purpose
-    comfort_m: Positive = 0.35  # closer than this costs
-    reaction_s: Positive = 0.25  # from a scan until the next command acts
-    window_s: Positive = 0.8
-    horizon_s: Positive = 2.0
-    rollout_step_s: Positive = 0.2
-    speed_samples: Samples = 5
-    yaw_rate_samples: Samples = 19
-    turn_start_rad: Positive = 1.05  # 60°; farther off the path's heading than this, turn standing
-    turn_stop_rad: Positive = 0.21  # 12°
-    approach_m: NonNegative = 1.5  # nearer to the goal than this, a curve to its pose is planned
-    approach_backwards_m: NonNegative = 1.0  # it goes backwards no farther than this: the laser does not look there
-    approach_backwards_mps: Positive = 0.4
-    stand_off_m: NonNegative = 0.3  # stop this much before the last free place of a blocked way
-    max_off_path_m: Positive = 1.2
-    memory_s: Positive = 3.0
-    near_memory_s: Positive = 15.0  # for what the turning footprint could touch
-    blocked_after_s: Positive = 1.0  # standing without a way on
-    # Within this distance for this long, however busily, is no progress; move_base calls it oscillation.
-    no_progress_m: Positive = 0.5
-    no_progress_s: Positive = 15.0
-    # Recovery, step by step; a person has often passed while it waits.
-    recovery_wait_s: Positive = 5.0
-    recovery_clear_s: Positive = 1.0
-    recovery_turn_s: Positive = 8.0  # once round
-    recovery_yaw_rate_rps: Positive = 0.8
-    recovery_replan_s: Positive = 4.0  # longer than path_planning takes to try again
-    recovery_withdraw_s: Positive = 8.0  # enough to turn and to go back so far:
-    recovery_withdraw_m: Positive = 1.0
-    recovery_backwards_mps: Positive = 0.2
-    recovery_calm_s: Positive = 3.0  # after driving for so long the next block is a new one
-    by_hand_ends_m: NonNegative = 1.0  # nearer to the goal than this, a robot that a human drives parks by itself
-    progress_weight: NonNegative = 1.0
-    lateral_weight: NonNegative = 0.6
-    heading_weight: NonNegative = 0.4
-    clearance_weight: NonNegative = 0.5
-    contact_weight: NonNegative = 1.0
-    smoothness_weight: NonNegative = 0.3
-    # With a hitchhiker behind: a camera of 60° must keep the marker 0.8 m ahead of it in view.
-    rider_speed_mps: Positive = 0.6
-    rider_yaw_rate_rps: Positive = 0.5
-    rider_acceleration_mps2: Positive = 0.3
-    rider_yaw_acceleration_rps2: Positive = 0.8
-    rider_curvature_per_m: Positive = 1.2
 
 
 @dataclass(frozen=True)
@@ -129,7 +74,7 @@ class _Leg:
     moved_at: float = math.inf
     stuck: bool = False
 
-    def watch(self, now: float, moving: bool, pose: Pose2D, params: ObstacleAvoidanceParameters) -> float:
+    def watch(self, now: float, moving: bool, pose: Pose2D, params: LocalPlannerParameters) -> float:
         """Seconds without motion. ``stuck`` tells of motion that leads nowhere; who waits is not stuck."""
         if moving or now < self.moved_at:
             self.moved_at = now
@@ -140,10 +85,10 @@ class _Leg:
         return now - self.moved_at
 
 
-class ObstacleAvoidance:
+class LocalPlanner:
     """Drives one robot along one path at a time. Call :meth:`step` with each scan."""
 
-    def __init__(self, limits: RobotLimits, params: ObstacleAvoidanceParameters) -> None:
+    def __init__(self, limits: RobotLimits, params: LocalPlannerParameters) -> None:
         self._params, self._limits = params, limits
         self._rider_limits = replace(
             limits,
@@ -214,13 +159,13 @@ class ObstacleAvoidance:
         speed_limit: float,
         gentle: bool = False,
         others: Sequence[tuple[Pose2D, float]] = (),
-        by_hand: Twist2D | None = None,
+        teleop: Twist2D | None = None,
     ) -> Decision:
         """The command for the next scan period.
 
         ``pose`` (in ``map``) and ``twist`` are those at the scan's stamp; ``speed_limit`` in m/s; ``gentle`` while a
         hitchhiker follows. ``others`` are robots that say where in ``map`` they are, with the radius of each: a laser
-        sees of a robot only what is at its own height. ``by_hand`` is what a human who drives wants, a stand too; None
+        sees of a robot only what is at its own height. ``teleop`` is what a human who drives wants, a stand too; None
         where nobody does. It is followed in place of the path, as fast as that is safe; near the goal the robot parks
         by itself for as long as the human wants it to move. Inputs that are not finite, too old or empty give a stand
         with state ``blocked``.
@@ -241,9 +186,9 @@ class ObstacleAvoidance:
         limits = self._rider_limits if gentle else self._limits
         limits = replace(limits, max_speed_mps=min(limits.max_speed_mps, speed_limit))
         field = ClearanceField(np.vstack([points, *(self._outline(pose, *other) for other in others)]))
-        near = distance(pose, leg.goal) <= self._params.by_hand_ends_m
-        if by_hand is not None and (not near or by_hand == Twist2D()):
-            return self._drive_by_hand(leg, now, pose, twist, field, limits, gentle, by_hand)
+        near = distance(pose, leg.goal) <= self._params.guided_ends_m
+        if teleop is not None and (not near or teleop == Twist2D()):
+            return self._drive_guided(leg, now, pose, twist, field, limits, gentle, teleop)
         before = self._command
         decision = self._drive(leg, now, pose, twist, field, limits, gentle)
         # Whoever makes room does not come back at the first gap.
@@ -407,7 +352,7 @@ class ObstacleAvoidance:
             return self._stand("driving", "no motion is safe")
         return Decision(self._ramp(now, twist, target, limits), "driving", "waiting for a way" if standing else "")
 
-    def _drive_by_hand(
+    def _drive_guided(
         self,
         leg: _Leg,
         now: float,

@@ -26,7 +26,7 @@ _SHARES = (1.0, 0.75, 0.5, 0.25)
 _BRAKING = 2.0
 
 
-class Guard:
+class SafetyLimiter:
     """Keeps the newest scan and limits commands by it; without a fresh scan it lets everything pass."""
 
     def __init__(self, limits: RobotLimits, T_base_laser: Pose2D) -> None:

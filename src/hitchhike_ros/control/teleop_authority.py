@@ -11,8 +11,8 @@ from hitchhike_ros.core.geometry import distance
 
 
 @dataclass(frozen=True)
-class ByHandParameters:
-    """Section ``by_hand``; chosen."""
+class TeleopAuthorityParameters:
+    """Section ``teleop_authority``; chosen."""
 
     command_timeout_s: Positive = 0.5  # as of velocity_mux
     active_timeout_s: Positive = 2.0  # teleop says four times as often that a human has the robot in hand
@@ -20,10 +20,10 @@ class ByHandParameters:
     unheard_m: Positive = 1.0
 
 
-class ByHand:
+class TeleopAuthority:
     """Whether a human has the robot in hand, and what that one wants."""
 
-    def __init__(self, params: ByHandParameters) -> None:
+    def __init__(self, params: TeleopAuthorityParameters) -> None:
         self._params = params
         self._commanded_at, self._twist = -math.inf, Twist2D()
         self._taken_at: float | None = None

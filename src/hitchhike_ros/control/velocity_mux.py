@@ -9,7 +9,7 @@ from typing import Annotated, Literal, get_args
 
 import msgspec
 
-from hitchhike_ros.core.datatypes import Hands, Positive, Twist2D
+from hitchhike_ros.core.datatypes import Positive, TeleopMode, Twist2D
 from hitchhike_ros.core.robot_model import RobotLimits
 
 Source = Literal["teleop", "servoing", "navigation"]
@@ -48,7 +48,7 @@ class VelocityMux:
         self._commands: dict[Source, tuple[float, Twist2D]] = {}
         self._output, self._stepped_at = Twist2D(), math.inf
         self.active: Source | None = None
-        self.hands: Hands = "free"  # guided: obstacle avoidance takes up what teleop says
+        self.teleop_mode: TeleopMode = "free"  # guided: obstacle avoidance takes up what teleop says
         self.refused: Counter[Source] = Counter()
         self._let_go = True  # of the keys, since the robot was last guided
         self._commanded = False  # since the timer's last turn
@@ -73,7 +73,7 @@ class VelocityMux:
         at, _ = self._commands.get("teleop", (-math.inf, Twist2D()))
         if twist == Twist2D() or not 0.0 <= now - at < self._timeouts["teleop"]:
             self._let_go = True
-        if twist != Twist2D() and self.hands != "free":
+        if twist != Twist2D() and self.teleop_mode != "free":
             self._let_go = False
 
     def takes_turn(self, now: float) -> bool:
@@ -115,8 +115,8 @@ class VelocityMux:
     def _drives(self, source: Source, now: float) -> bool:
         """Whether a source has a fresh command that it may give."""
         at, twist = self._commands.get(source, (math.inf, Twist2D()))
-        stops = self.hands == "off" and twist == Twist2D()
-        may = source != "teleop" or (self.hands == "free" and self._let_go) or stops
+        stops = self.teleop_mode == "off" and twist == Twist2D()
+        may = source != "teleop" or (self.teleop_mode == "free" and self._let_go) or stops
         return may and 0.0 <= now - at < self._timeouts[source]
 
 

@@ -21,7 +21,7 @@ UnitInterval = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Side = Literal["left", "right"]
 # What a human may do to a robot by teleoperation: free is straight to the base; guided passes through obstacle
 # avoidance, which keeps what the protocol asks of a driver; off leaves only stopping.
-Hands = Literal["free", "guided", "off"]
+TeleopMode = Literal["free", "guided", "off"]
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def read_world(path: Path | str) -> dict[str, Any]:
 
 
 def load_hitchhiking(path: Path | str, robot: str) -> dict[str, object]:
-    """What a world file says of one robot's parameters of hitchhiking: the marker on its back, what holds for all
+    """What a world file says of one robot's parameters of hitchhiking: its rear marker, what holds for all
     robots, and what is its own. Nothing is checked but that these are mappings.
 
     Raises:

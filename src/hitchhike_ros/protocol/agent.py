@@ -20,7 +20,7 @@ from hitchhike_ros.protocol.driver.machine import ARRIVED, DriverMachine, Driver
 from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, HitchhikerMachine, HitchhikerState
 from hitchhike_ros.protocol.machine import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
 from hitchhike_ros.protocol.matching import Boardings, Planner, solo_metres
-from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Message, Plate, Request
+from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Message, RearMarker, Request
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
 from hitchhike_ros.protocol.status import Status
@@ -54,7 +54,9 @@ class Traveller:
         self._sites, self._camera = sites, camera
         self._planner, self._radius_m = planner, radius_m
         self._metres = metres or solo_metres(planner)
-        self._plate = Plate(marker_id=params.marker_id, marker_size_m=params.marker_size_m, marker_pose=marker_pose)
+        self._rear_marker = RearMarker(
+            marker_id=params.marker_id, marker_size_m=params.marker_size_m, marker_pose=marker_pose
+        )
         self.neighbours = Neighbours()
         self.hitchhiker = self._new_hitchhiker()
         self.booking: HitchhikerMachine | None = None  # of the ride after this one
@@ -154,7 +156,7 @@ class Traveller:
 
     def _new_hitchhiker(self) -> HitchhikerMachine:
         return HitchhikerMachine(
-            self.robot_id, self.params, self._sites, self._camera, self._plate, self.neighbours, self._metres
+            self.robot_id, self.params, self._sites, self._camera, self._rear_marker, self.neighbours, self._metres
         )
 
     def _ask(self, goal: Pose2D, now: float, whom: str = EVERYBODY) -> list[Effect]:

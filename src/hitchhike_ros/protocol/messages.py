@@ -50,7 +50,7 @@ class Message:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plate:
+class RearMarker:
     """The marker on a robot's back; its pose is in the robot's ``base_footprint``."""
 
     marker_id: int
@@ -102,12 +102,12 @@ class Request(PoseFields, Message):
     profile: Profile
     priority: Priority = 10
     in_s: NonNegative = 0.0
-    plate: Plate | None = None  # for whoever comes behind it in a convoy
+    rear_marker: RearMarker | None = None  # for whoever comes behind it in a convoy
 
 
 @dataclass(frozen=True, kw_only=True)
 class Accept(PoseFields, Message):
-    """A driver offers the ride: how long it is, where it ends, and the marker on its back.
+    """A driver offers the ride: how long it is, where it ends, and its rear marker.
 
     In a network the hitchhiker chooses among the rides that the driver's ``path`` allows (P18 §4).
     """
@@ -124,8 +124,8 @@ class Accept(PoseFields, Message):
     safe_speed_mps: Positive = 0.6
 
     @property
-    def plate(self) -> Plate:
-        return Plate(marker_id=self.marker_id, marker_size_m=self.marker_size_m, marker_pose=self.marker_pose)
+    def rear_marker(self) -> RearMarker:
+        return RearMarker(marker_id=self.marker_id, marker_size_m=self.marker_size_m, marker_pose=self.marker_pose)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ class Lock(Message):
     waiting: Pose2D | None = None
     leave: tuple[float, float] | None = None
     in_s: NonNegative = 0.0
-    plate: Plate | None = None
+    rear_marker: RearMarker | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +169,7 @@ class Aligned(PoseFields, Message):
 
     decouple_point: tuple[float, float]
     place: Place = 1
-    ahead: Plate | None = None
+    ahead: RearMarker | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +192,7 @@ class NewObstacles:
 class Driver(PoseFields, Message):
     """The driver's message of every δ seconds: pose, Σ, Ω (P17 §4, Listing 1), and its speed.
 
-    In a convoy, pose and Σ are of the robot ahead of the rider, the one with the plate ``ahead``.
+    In a convoy, pose and Σ are of the robot ahead of the rider, the one with the rear marker ``ahead``.
     """
 
     type = "driver"
@@ -202,7 +202,7 @@ class Driver(PoseFields, Message):
     v: float = 0.0
     ridden_m: NonNegative = 0.0
     place: Place = 1
-    ahead: Plate | None = None
+    ahead: RearMarker | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,7 +236,7 @@ class Decouple(PoseFields, Message):
     new_obstacles: NewObstacles = NewObstacles()
     ridden_m: NonNegative = 0.0
     place: Place = 1
-    ahead: Plate | None = None
+    ahead: RearMarker | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -405,10 +405,10 @@ def _names(cls: type[Any]) -> tuple[str, ...]:
     return tuple(f.name for f in fields(cls))
 
 
-# Of each class, the fields that may hold a pose, or a plate with one.
+# Of each class, the fields that may hold a pose, or a rear marker with one.
 _FIELDS_OF_POSES = {
-    cls: tuple(f.name for f in fields(cls) if "Pose2D" in str(f.type) or "Plate" in str(f.type))
-    for cls in (*_ALL_TYPES.values(), Plate)
+    cls: tuple(f.name for f in fields(cls) if "Pose2D" in str(f.type) or "RearMarker" in str(f.type))
+    for cls in (*_ALL_TYPES.values(), RearMarker)
 }
 
 
@@ -416,7 +416,7 @@ def _poses(value: object, content: Any, name: str = "") -> Iterator[tuple[str, d
     """Every pose in a message as it came, with the name of its field."""
     if isinstance(value, Pose2D):
         yield name, content
-    elif isinstance(value, Message | Plate):
+    elif isinstance(value, Message | RearMarker):
         for field in _FIELDS_OF_POSES[type(value)]:
             if (inner := getattr(value, field)) is not None:
                 yield from _poses(inner, content[field], f"{name}.{field}" if name else field)

@@ -74,9 +74,9 @@ class HitchhikingParameters:
     safe_speed_mps: Positive = 1.0  # the most of a driver on its way to a hitchhiker (velocity tuning, P18 §8.1.3)
     overlap_tolerance_m: Positive = 0.3  # two plans that go the same way rarely share their cells
     handover: Literal["paper", "measured"] = "measured"
-    mounting_sigma_m: NonNegative = 0.001  # how well one knows where camera and plate are mounted (chosen)
+    mounting_sigma_m: NonNegative = 0.001  # how well one knows where camera and rear marker are mounted (chosen)
     mounting_sigma_rad: NonNegative = 0.002
-    marker_id: int = 0  # on the own back
+    marker_id: int = 0  # of the own rear marker
     marker_size_m: Positive = 0.16
 
     @property
@@ -91,5 +91,5 @@ class HitchhikingParameters:
 
     @cached_property
     def mounting(self) -> FloatArray:
-        """Covariance (3, 3) in (x, y, theta) of where a plate is mounted."""
+        """Covariance (3, 3) in (x, y, theta) of where a rear marker is mounted."""
         return np.diag(np.square([self.mounting_sigma_m, self.mounting_sigma_m, self.mounting_sigma_rad]))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from hitchhike_ros.core.datatypes import Hands, NonNegative, Pose2D, Positive, Side
+from hitchhike_ros.core.datatypes import NonNegative, Pose2D, Positive, Side, TeleopMode
 from hitchhike_ros.core.errors import MessageError
 
 
@@ -109,7 +109,7 @@ class Status:
         return self.role == "hitchhiker" and self.state in RIDING_STATES
 
     @property
-    def hands(self) -> Hands:
+    def teleop_mode(self) -> TeleopMode:
         """What a human who teleoperates the robot may do to it now."""
         if self.goal is not None and self.state in GUIDED_STATES and self.role != "hitchhiker":
             return "guided"

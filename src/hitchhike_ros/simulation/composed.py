@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.control.local_planner import ObstacleAvoidance, ObstacleAvoidanceParameters
-from hitchhike_ros.control.safety_limiter import Guard
+from hitchhike_ros.control.local_planner import LocalPlanner
+from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
+from hitchhike_ros.control.safety_limiter import SafetyLimiter
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
 from hitchhike_ros.core.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
@@ -101,8 +102,8 @@ class ComposedRobot:
         self.mapper = NewObstacleMapper(grid, load(MappingParameters, "mapping"))
         self._planner = GlobalPlanner(load(GlobalPlannerParameters, "global_planner"), self.limits)
         self._replanner = Replanner(self._planner, load(ReplannerParameters, "path_planning"))
-        avoidance = load(ObstacleAvoidanceParameters, "obstacle_avoidance")
-        self._avoidance = ObstacleAvoidance(self.limits, avoidance)
+        local_planner = load(LocalPlannerParameters, "obstacle_avoidance")
+        self._local_planner = LocalPlanner(self.limits, local_planner)
         self._wall_params = load(WallAlignmentParameters, "wall_alignment")
         self._turns_for = ""
         self._mux = VelocityMux(load(VelocityMuxParameters, "velocity_mux"), self.limits)
@@ -111,8 +112,8 @@ class ComposedRobot:
         )
         camera = pose_from_matrix(mounts["camera"])
         self._follow = FollowLaw(load(FollowParameters, "follow"), self.limits, camera.x)
-        self._guard = Guard(self.limits, self._T_base_laser)
-        # Robots of one model share its file, but not the marker on the back.
+        self._limiter = SafetyLimiter(self.limits, self._T_base_laser)
+        # Robots of one model share its file, but not the rear marker.
         own: dict[str, object] = {} if entry.marker is None else {"marker_id": entry.marker}
         own = {**own, **entry.hitchhiking, **changes.get("hitchhiking", {})}
         params = load_parameters(HitchhikingParameters, "hitchhiking", config, own)
@@ -160,7 +161,7 @@ class ComposedRobot:
 
     def sense_scan(self, scan: LaserScan, now: float) -> None:
         """Localize, map and drive by one scan, as far as these are on."""
-        self._guard.see(scan)
+        self._limiter.see(scan)
         modules = self.status.modules
         if modules.LZN and self._localizer.initialised:
             self._localizer.update_scan(scan)
@@ -198,7 +199,7 @@ class ComposedRobot:
         if servo.task == "follow":
             seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
             decision = self._follow.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
-            twist, _ = self._guard.limit(now, decision.twist)
+            twist, _ = self._limiter.limit(now, decision.twist)
             self.following = decision.state
             self._mux.command("servoing", twist, now)
 
@@ -249,7 +250,7 @@ class ComposedRobot:
         self.status = self.traveller.status(now)
         if self.status.goal is None:
             self._report = None
-            self._avoidance.clear()
+            self._local_planner.clear()
 
     def drive(self, now: float) -> None:
         """Pass the velocity command on to the wheels."""
@@ -286,17 +287,17 @@ class ComposedRobot:
                 except PlanningError as exc:
                     self._report = NavigationReport(goal.id, "blocked", str(exc))
                     return
-                self._avoidance.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
+                self._local_planner.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
                 self._turns_for = goal.id
         elif plan.state != "planned":
             self._report = NavigationReport(goal.id, plan.state, plan.reason)
             return
         elif plan is not self._plan:
             self._plan = plan
-            self._avoidance.set_path(plan.path, goal.pose, goal.tolerance_m, goal.tolerance_rad)
+            self._local_planner.set_path(plan.path, goal.pose, goal.tolerance_m, goal.tolerance_rad)
         twist = self.body.odometry().twist
         limit = self.status.speed_limit_mps or self.limits.max_speed_mps
-        decision = self._avoidance.step(
+        decision = self._local_planner.step(
             now, estimate.pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider, self._others
         )
         self._report = NavigationReport(goal.id, decision.state, decision.reason)

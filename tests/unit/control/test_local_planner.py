@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from flat_world import BOXES, CORRIDOR, LASER, P3DX, TURTLEBOT, FlatWorld, Rectangle, overlaps
 from hitchhike_ros.control.clearance import ClearanceField, Footprint
 from hitchhike_ros.control.dynamic_window import brake, roll_out
-from hitchhike_ros.control.local_planner import Decision, ObstacleAvoidance, ObstacleAvoidanceParameters
+from hitchhike_ros.control.local_planner import Decision, LocalPlanner
+from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.recovery import Recovery, RecoveryStep
 from hitchhike_ros.control.reference_path import ReferencePath
@@ -22,7 +23,7 @@ from hitchhike_ros.core.errors import PlanningError, SensorDataError
 from hitchhike_ros.core.geometry import compose, wrap_angle
 from hitchhike_ros.core.robot_model import RobotLimits
 
-PARAMS = ObstacleAvoidanceParameters()
+PARAMS = LocalPlannerParameters()
 ROBOTS = pytest.mark.parametrize("limits", [P3DX, TURTLEBOT], ids=["p3dx", "turtlebot"])
 AHEAD = [(6.0, 5.72), (20.0, 5.72)]  # along the middle of the corridor
 
@@ -41,7 +42,7 @@ class Drive:
     ) -> None:
         self.world = FlatWorld(limits, rectangles, start, seed)
         self.goal = goal
-        self.controller = ObstacleAvoidance(limits, PARAMS)
+        self.controller = LocalPlanner(limits, PARAMS)
         self.controller.set_path(np.array(path), goal)
         self.decision = Decision(Twist2D(), "driving")
         self.poses, self.twists = [start], [Twist2D()]
@@ -290,10 +291,10 @@ def still(**changes: object) -> dict:
     return {**good, **changes}
 
 
-def controller(limits: RobotLimits = P3DX) -> ObstacleAvoidance:
-    avoidance = ObstacleAvoidance(limits, PARAMS)
-    avoidance.set_path(np.array([(0.0, 0.0), (5.0, 0.0)]), Pose2D(5.0, 0.0, 0.0))
-    return avoidance
+def controller(limits: RobotLimits = P3DX) -> LocalPlanner:
+    planner = LocalPlanner(limits, PARAMS)
+    planner.set_path(np.array([(0.0, 0.0), (5.0, 0.0)]), Pose2D(5.0, 0.0, 0.0))
+    return planner
 
 
 def ranges(values: object) -> LaserScan:
@@ -326,18 +327,18 @@ def test_all_beams_free_is_driving() -> None:
     ],
 )
 def test_senseless_input_is_a_stand_with_a_reason(changes: dict, reason: str) -> None:
-    avoidance = controller()
-    avoidance.step(**still(now=9.9, scan=replace(still()["scan"], stamp=9.9)))
-    decision = avoidance.step(**still(**changes))
+    planner = controller()
+    planner.step(**still(now=9.9, scan=replace(still()["scan"], stamp=9.9)))
+    decision = planner.step(**still(**changes))
     assert decision.state == "blocked"
     assert decision.twist == Twist2D()
     assert reason in decision.reason
 
 
 def test_without_a_path_it_stands() -> None:
-    avoidance = controller()
-    avoidance.clear()
-    assert avoidance.step(**still()) == Decision(Twist2D(), "blocked", "no path")
+    planner = controller()
+    planner.clear()
+    assert planner.step(**still()) == Decision(Twist2D(), "blocked", "no path")
 
 
 @pytest.mark.parametrize(
@@ -355,9 +356,9 @@ def test_no_velocity_is_chosen_that_cannot_stop_before_contact() -> None:
     for gap in np.arange(0.6, 2.5, 0.05):
         x = P3DX.front_m + gap - 0.17
         scan = LaserScan(10.0, -1.2, 0.006, 0.02, 8.0, x / np.cos(-1.2 + 0.006 * np.arange(wall.size)))
-        avoidance = controller()
+        planner = controller()
         twist = Twist2D(0.8, 0.0)
-        chosen = avoidance.step(**still(twist=twist, scan=scan, now=10.0, speed_limit=1.0)).twist
+        chosen = planner.step(**still(twist=twist, scan=scan, now=10.0, speed_limit=1.0)).twist
         v = max(twist.v + min(0.25 * 0.5, max(chosen.v - twist.v, -0.25 * 0.5)), 0.0)
         braking = 0.25 * (twist.v + v) / 2.0 + v * v / (2.0 * P3DX.max_acceleration_mps2)
         assert chosen.v == 0.0 or braking < gap
@@ -465,7 +466,7 @@ def test_the_worlds_own_overlap_is_exact() -> None:
 
 
 def test_busy_without_coming_on_is_no_progress_even_with_ever_new_plans() -> None:
-    controller = ObstacleAvoidance(TURTLEBOT, PARAMS)
+    controller = LocalPlanner(TURTLEBOT, PARAMS)
     world = FlatWorld(TURTLEBOT, CORRIDOR, Pose2D(10.0, 5.72, 0.0))
     goal, said = Pose2D(20.0, 5.72, 0.0), []
     for step in range(250):

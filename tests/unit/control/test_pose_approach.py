@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flat_world import CORRIDOR, LASER, P3DX, TURTLEBOT, FlatWorld
-from hitchhike_ros.control.local_planner import ObstacleAvoidance, ObstacleAvoidanceParameters
+from hitchhike_ros.control.local_planner import LocalPlanner
+from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.pose_approach import CURVES, PERIOD_S, roll_out_approach
 from hitchhike_ros.core.datatypes import Pose2D, Twist2D
 from hitchhike_ros.core.geometry import wrap_angle, wrap_angles
@@ -47,7 +48,7 @@ def approach(start: Pose2D, goal: Pose2D, twist: Twist2D, boxes: tuple = ()) -> 
     """The P3DX driven to ``goal`` by its controller; the way it takes."""
     world = FlatWorld(P3DX, CORRIDOR + boxes, start, 0)
     world.twist = twist
-    controller = ObstacleAvoidance(P3DX, ObstacleAvoidanceParameters())
+    controller = LocalPlanner(P3DX, LocalPlannerParameters())
     controller.set_path(np.array([(start.x, start.y), (goal.x, goal.y)]), goal, 0.08, 0.06)
     poses = [start]
     while world.now < 20.0:

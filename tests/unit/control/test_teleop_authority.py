@@ -10,10 +10,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from flat_world import CORRIDOR, LASER, P3DX, TURTLEBOT, FlatWorld
-from hitchhike_ros.control.local_planner import Decision, ObstacleAvoidance, ObstacleAvoidanceParameters
-from hitchhike_ros.control.teleop_authority import ByHand, ByHandParameters
+from hitchhike_ros.control.local_planner import Decision, LocalPlanner
+from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
+from hitchhike_ros.control.teleop_authority import TeleopAuthority, TeleopAuthorityParameters
 from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
-from hitchhike_ros.core.datatypes import Hands, Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import Pose2D, TeleopMode, Twist2D
 from hitchhike_ros.core.errors import TeleopError
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.experiments.scenarios.scripted_human import HumanParameters, ScriptedHuman
@@ -21,7 +22,7 @@ from hitchhike_ros.protocol.driver.machine import DriverState
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerState
 from hitchhike_ros.protocol.status import GoalCommand, Status
 
-PARAMS, AVOIDANCE = ByHandParameters(), ObstacleAvoidanceParameters()
+PARAMS, AVOIDANCE = TeleopAuthorityParameters(), LocalPlannerParameters()
 AHEAD, BACK, LEFT = Twist2D(0.5, 0.0), Twist2D(-0.5, 0.0), Twist2D(0.0, 0.5)
 HERE = Pose2D(1.0, 2.0, 0.0)
 START, GOAL = Pose2D(8.0, 5.72, 0.0), Pose2D(20.0, 5.72, 0.0)
@@ -33,24 +34,24 @@ START, GOAL = Pose2D(8.0, 5.72, 0.0), Pose2D(20.0, 5.72, 0.0)
 @pytest.mark.parametrize("state", DriverState)
 def test_a_driver_is_driven_by_hand_only_where_it_drives(state: DriverState) -> None:
     goal = GoalCommand("1", 5.0, 0.0, 0.0)
-    hands = Status(0.0, "p3dx", "driver", state.value, goal=goal).hands
-    assert hands == ("guided" if state in (DriverState.NAVIGATING, DriverState.DRIVING) else "off")
-    assert Status(0.0, "p3dx", "driver", state.value).hands == "off"
+    mode = Status(0.0, "p3dx", "driver", state.value, goal=goal).teleop_mode
+    assert mode == ("guided" if state in (DriverState.NAVIGATING, DriverState.DRIVING) else "off")
+    assert Status(0.0, "p3dx", "driver", state.value).teleop_mode == "off"
 
 
 @pytest.mark.parametrize("state", [s for s in HitchhikerState if s is not HitchhikerState.IDLE])
 def test_a_hitchhiker_is_not_driven_by_hand(state: HitchhikerState) -> None:
     for goal in (None, GoalCommand("1", 5.0, 0.0, 0.0)):
-        assert Status(0.0, "turtlebot", "hitchhiker", state.value, goal=goal).hands == "off"
+        assert Status(0.0, "turtlebot", "hitchhiker", state.value, goal=goal).teleop_mode == "off"
 
 
 def test_a_robot_without_goal_and_ride_is_free() -> None:
-    assert Status(0.0, "p3dx").hands == "free"
-    assert Status(0.0, "p3dx", state="navigating", goal=GoalCommand("1", 5.0, 0.0, 0.0)).hands == "guided"
+    assert Status(0.0, "p3dx").teleop_mode == "free"
+    assert Status(0.0, "p3dx", state="navigating", goal=GoalCommand("1", 5.0, 0.0, 0.0)).teleop_mode == "guided"
 
 
 @pytest.mark.parametrize(
-    ("hands", "twist", "active"),
+    ("mode", "twist", "active"),
     [
         ("free", AHEAD, "teleop"),
         ("free", Twist2D(), "teleop"),
@@ -60,11 +61,11 @@ def test_a_robot_without_goal_and_ride_is_free() -> None:
         ("off", Twist2D(), "teleop"),
     ],
 )
-def test_the_base_hears_the_human_where_the_protocol_allows_it(hands: Hands, twist: Twist2D, active: str) -> None:
+def test_the_base_hears_the_human_where_the_protocol_allows_it(mode: TeleopMode, twist: Twist2D, active: str) -> None:
     mux = VelocityMux(VelocityMuxParameters(), P3DX)
     mux.command("teleop", twist, 0.0)
     mux.command("navigation", LEFT, 0.0)
-    mux.hands = hands
+    mux.teleop_mode = mode
     mux.step(0.0)
     assert mux.active == active
 
@@ -74,7 +75,7 @@ def test_a_command_of_before_a_ride_ends_with_the_freedom() -> None:
     mux.step(0.0)
     mux.command("teleop", AHEAD, 0.1)
     assert mux.step(0.1).v > 0.0
-    mux.hands = "off"
+    mux.teleop_mode = "off"
     before = mux.step(0.15).v
     assert mux.active is None
     assert mux.step(0.3).v <= before
@@ -82,9 +83,9 @@ def test_a_command_of_before_a_ride_ends_with_the_freedom() -> None:
 
 def test_a_key_that_is_still_held_at_the_goal_does_not_drive_on() -> None:
     mux = VelocityMux(VelocityMuxParameters(), P3DX)
-    mux.hands = "guided"
+    mux.teleop_mode = "guided"
     mux.command("teleop", AHEAD, 0.0)
-    mux.hands = "free"  # the robot is at its goal, and the human has not seen it yet
+    mux.teleop_mode = "free"  # the robot is at its goal, and the human has not seen it yet
     for now in (0.1, 0.2):
         mux.command("teleop", AHEAD, now)
         mux.step(now)
@@ -96,9 +97,9 @@ def test_a_key_that_is_still_held_at_the_goal_does_not_drive_on() -> None:
 
 def test_a_stop_lets_go_too() -> None:
     mux = VelocityMux(VelocityMuxParameters(), P3DX)
-    mux.hands = "guided"
+    mux.teleop_mode = "guided"
     mux.command("teleop", AHEAD, 0.0)
-    mux.hands = "free"
+    mux.teleop_mode = "free"
     mux.command("teleop", Twist2D(), 0.1)
     mux.command("teleop", AHEAD, 0.2)
     mux.step(0.2)
@@ -109,11 +110,11 @@ def test_a_stop_lets_go_too() -> None:
 
 
 def test_nobody_has_it_in_hand() -> None:
-    assert ByHand(PARAMS).wanted(HERE, False, 0.0) is None
+    assert TeleopAuthority(PARAMS).wanted(HERE, False, 0.0) is None
 
 
 def test_a_robot_in_hand_stands_until_it_is_told_to_go() -> None:
-    hand = ByHand(PARAMS)
+    hand = TeleopAuthority(PARAMS)
     hand.take(True, 0.0)
     assert hand.wanted(HERE, False, 0.1) == Twist2D()
     hand.command(AHEAD, 0.2)
@@ -124,14 +125,14 @@ def test_a_robot_in_hand_stands_until_it_is_told_to_go() -> None:
 
 
 def test_commands_of_others_hold_for_as_long_as_they_are_fresh() -> None:
-    hand = ByHand(PARAMS)
+    hand = TeleopAuthority(PARAMS)
     hand.command(AHEAD, 0.0)
     assert hand.wanted(HERE, False, 0.1) == AHEAD
     assert hand.wanted(HERE, False, 0.6) is None
 
 
 def test_it_stands_when_the_human_is_out_of_reach() -> None:
-    hand = ByHand(PARAMS)
+    hand = TeleopAuthority(PARAMS)
     hand.take(True, 0.0)
     for now in (2.1, -2.1):  # also when time jumps back
         with pytest.raises(TeleopError, match="out of reach"):
@@ -142,7 +143,7 @@ def test_it_stands_when_the_human_is_out_of_reach() -> None:
 
 @pytest.mark.parametrize("bad", [Twist2D(math.nan, 0.0), Twist2D(0.0, math.inf)])
 def test_a_senseless_command_ends_the_one_before(bad: Twist2D) -> None:
-    hand = ByHand(PARAMS)
+    hand = TeleopAuthority(PARAMS)
     hand.take(True, 0.0)
     assert hand.command(AHEAD, 0.0)
     assert not hand.command(bad, 0.1)
@@ -150,7 +151,7 @@ def test_a_senseless_command_ends_the_one_before(bad: Twist2D) -> None:
 
 
 def test_with_a_rider_it_does_not_go_on_without_news_of_it() -> None:
-    hand = ByHand(PARAMS)
+    hand = TeleopAuthority(PARAMS)
     far = Pose2D(HERE.x + PARAMS.unheard_m + 0.01, HERE.y, 0.0)
     hand.command(AHEAD, 0.0)
     assert hand.wanted(HERE, True, 0.0) == AHEAD
@@ -173,7 +174,7 @@ class Hand:
     def __init__(self, start: Pose2D = START, rectangles: tuple = CORRIDOR, limits: object = P3DX) -> None:
         assert limits in (P3DX, TURTLEBOT)
         self.world = FlatWorld(limits, rectangles, start)
-        self.controller = ObstacleAvoidance(limits, AVOIDANCE)
+        self.controller = LocalPlanner(limits, AVOIDANCE)
         self.controller.set_path(np.array([(START.x, START.y), (GOAL.x, GOAL.y)]), GOAL)
         self.decision = Decision(Twist2D(), "driving")
         self.twists: list[Twist2D] = []

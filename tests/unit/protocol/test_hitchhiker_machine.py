@@ -253,7 +253,7 @@ def test_an_old_image_couples_nothing() -> None:
 
 def test_another_robots_marker_couples_nothing() -> None:
     bench = rider_in(S.COUPLING)
-    bench.machine._plate = replace(bench.machine._plate, marker_id=3)
+    bench.machine._rear_marker = replace(bench.machine._rear_marker, marker_id=3)
     bench.gap = 0.8
     bench.wait(5.0)
     assert bench.machine.state is S.COUPLING

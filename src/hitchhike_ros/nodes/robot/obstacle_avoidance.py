@@ -22,10 +22,11 @@ Published:
     lockstep/answer (std_msgs/Header): the stamp of each scan that has been worked on, when /lockstep is true
     /diagnostics (diagnostic_msgs/DiagnosticArray)
 Parameters:
-    ~config (path), sections ``obstacle_avoidance`` (control.local_planner.ObstacleAvoidanceParameters),
+    ~config (path), sections ``obstacle_avoidance`` (control.local_planner_parameters.LocalPlannerParameters),
         ``wall_alignment`` (control.wall_alignment.WallAlignmentParameters) and ``robot``
     ~urdf (path): mount of the laser
-    section ``by_hand`` of ~config (control.teleop_authority.ByHandParameters): when a human's word is old
+    section ``teleop_authority`` of ~config (control.teleop_authority.TeleopAuthorityParameters): how old a human's word
+        may be
     ~pose_wait_s (s of wall time, 0.1; 0.4 in lock-step, where time stands still meanwhile): how long the pose of a scan
         is awaited
 TF: none.
@@ -45,9 +46,10 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import Bool, String
 
-from hitchhike_ros.control.local_planner import ObstacleAvoidance, ObstacleAvoidanceParameters
+from hitchhike_ros.control.local_planner import LocalPlanner
+from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.odometry_history import OdometryHistory
-from hitchhike_ros.control.teleop_authority import ByHand, ByHandParameters
+from hitchhike_ros.control.teleop_authority import TeleopAuthority, TeleopAuthorityParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, PoseEstimate, Positive, Side, Twist2D
 from hitchhike_ros.core.errors import PlanningError, SensorDataError, TeleopError
@@ -92,10 +94,10 @@ class ObstacleAvoidanceNode:
     """Callbacks store under one lock; a scan, or its absence, leads to a decision."""
 
     def __init__(self) -> None:
-        self._params = node_parameters(ObstacleAvoidanceParameters, "obstacle_avoidance")
+        self._params = node_parameters(LocalPlannerParameters, "obstacle_avoidance")
         self._wall_params = node_parameters(WallAlignmentParameters, "wall_alignment")
         self._limits = node_parameters(RobotLimits, "robot")
-        self._by_hand = ByHand(node_parameters(ByHandParameters, "by_hand"))
+        self._teleop_authority = TeleopAuthority(node_parameters(TeleopAuthorityParameters, "teleop_authority"))
         self._T_base_laser = pose_from_matrix(mount(path_parameter("urdf"), "laser"))
         self._pose_wait_s = convert(
             rospy.get_param("~pose_wait_s", 0.4 if rospy.get_param("/lockstep", False) else 0.1),
@@ -103,7 +105,7 @@ class ObstacleAvoidanceNode:
             rospy.get_name(),
             "~pose_wait_s",
         )
-        self._avoidance = ObstacleAvoidance(self._limits, self._params)
+        self._local_planner = LocalPlanner(self._limits, self._params)
         self._changed = threading.Condition()  # guards everything below
         self._status: Status | None = None
         self._timer: Timer | None = None
@@ -147,7 +149,7 @@ class ObstacleAvoidanceNode:
     def _on_status(self, status: Status) -> None:
         with self._changed:
             before, self._status = self._goal, status
-            self._by_hand.hear_status()
+            self._teleop_authority.hear_status()
             goal = self._goal
             if self._switch.set(status.modules.OBS):
                 if status.modules.OBS:
@@ -157,7 +159,7 @@ class ObstacleAvoidanceNode:
                     self._timer = None
                 self._forget()
             if goal is None:
-                self._avoidance.clear()
+                self._local_planner.clear()
                 self._followed, self._turns_for = None, ""
                 if before is not None:
                     self._commands.publish(twist_to_msg(Twist2D()))
@@ -190,13 +192,13 @@ class ObstacleAvoidanceNode:
 
     def _on_teleop(self, msg: Twist) -> None:
         with self._changed:
-            if not self._by_hand.command(twist_from_msg(msg), rospy.get_time()):
+            if not self._teleop_authority.command(twist_from_msg(msg), rospy.get_time()):
                 self._diagnostics.count("bad_teleop")
                 rospy.logwarn_throttle(10.0, "cmd_vel/teleop is not finite: refused")
 
     def _on_active(self, msg: Bool) -> None:
         with self._changed:
-            self._by_hand.take(msg.data, rospy.get_time())
+            self._teleop_authority.take(msg.data, rospy.get_time())
 
     def _on_scan(self, msg: LaserScanMsg) -> None:
         stamp = msg.header.stamp.to_sec()
@@ -251,11 +253,15 @@ class ObstacleAvoidanceNode:
         others = [(Pose2D(r.x, r.y), r.radius_m) for r in status.robots]
         gentle = status.carries_rider
         try:
-            hand = self._by_hand.wanted(pose, gentle, self._decided_at) if status.hands == "guided" else None
+            hand = (
+                self._teleop_authority.wanted(pose, gentle, self._decided_at)
+                if status.teleop_mode == "guided"
+                else None
+            )
         except TeleopError as exc:
             self._stand(str(exc))
             return
-        decision = self._avoidance.step(
+        decision = self._local_planner.step(
             self._decided_at, pose, self._odometry.twist, scan, self._T_base_laser, limit, gentle, others, hand
         )
         level = ERROR if decision.state == "blocked" else OK
@@ -269,11 +275,11 @@ class ObstacleAvoidanceNode:
         """
         plan = self._plan
         if plan is None or not plan.leads_to(goal):
-            self._avoidance.clear()
+            self._local_planner.clear()
             self._followed = None
             return False
         if self._followed != (goal.id, plan):
-            self._avoidance.set_path(plan.points, goal.pose, goal.tolerance_m, goal.tolerance_rad)
+            self._local_planner.set_path(plan.points, goal.pose, goal.tolerance_m, goal.tolerance_rad)
             self._followed = (goal.id, plan)
         return True
 
@@ -285,7 +291,7 @@ class ObstacleAvoidanceNode:
         """
         if self._turns_for != goal.id:
             line = in_line(pose, goal.theta, side, scan, self._T_base_laser, self._wall_params)
-            self._avoidance.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
+            self._local_planner.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
             self._turns_for = goal.id
         return True
 

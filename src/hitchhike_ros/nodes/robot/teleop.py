@@ -167,7 +167,7 @@ class TeleopNode:
         limit = f", at most {status.speed_limit_mps:.2f} m/s" if status.speed_limit_mps and status.goal else ""
         riders = f", with {', '.join(status.convoy)}" if status.convoy else ""
         lines.append(f"{status.robot_id}: {status.state}{reason}{riders}{limit}")
-        return [*lines, _HANDS[status.hands]]
+        return [*lines, _HANDS[status.teleop_mode]]
 
 
 class _Screen:

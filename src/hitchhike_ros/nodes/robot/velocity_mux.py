@@ -64,7 +64,7 @@ class VelocityMuxNode:
 
     def _on_status(self, status: Status) -> None:
         with self._lock:
-            self._mux.hands = status.hands
+            self._mux.teleop_mode = status.teleop_mode
 
     def _on_timer(self) -> None:
         with self._lock:

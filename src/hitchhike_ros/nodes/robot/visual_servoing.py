@@ -56,7 +56,7 @@ from sensor_msgs.msg import Image
 from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import Int8, String
 
-from hitchhike_ros.control.safety_limiter import Guard
+from hitchhike_ros.control.safety_limiter import SafetyLimiter
 from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, MarkerObservation, Positive, Twist2D
 from hitchhike_ros.core.errors import ParameterError, SensorDataError, VisionError
 from hitchhike_ros.core.geometry import pose_from_matrix
@@ -131,14 +131,14 @@ class VisualServoing:
             mount(path_parameter("urdf"), "camera_optical") if rospy.has_param("~urdf") else T_FORWARD_OPTICAL
         )
         self._law: FollowLaw | None = None
-        self._guard: Guard | None = None
+        self._limiter: SafetyLimiter | None = None
         if rospy.has_param("~config"):
             limits = node_parameters(RobotLimits, "robot")
             self._law = FollowLaw(
                 node_parameters(FollowParameters, "follow"), limits, camera_x_m=float(self._T_base_camera[0, 3])
             )
             laser = fixed_transforms(path_parameter("urdf")).get("laser") if rospy.has_param("~urdf") else None
-            self._guard = None if laser is None else Guard(limits, pose_from_matrix(laser))
+            self._limiter = None if laser is None else SafetyLimiter(limits, pose_from_matrix(laser))
         self._camera_frame = frame("camera_optical")
         self._lock = threading.RLock()
         self._servo: ServoCommand | None = None
@@ -227,7 +227,7 @@ class VisualServoing:
                     self._law.reset()
                 if before is not None and before.task == "follow":
                     self._commands.publish(twist_to_msg(Twist2D()))
-            self._laser.set(self._guard is not None and servo is not None and servo.task == "follow")
+            self._laser.set(self._limiter is not None and servo is not None and servo.task == "follow")
             if self._switch.set(servo is not None):
                 if servo is not None:
                     self._timer = Timer(self._params.watch_period_s, self._watch)
@@ -258,11 +258,11 @@ class VisualServoing:
 
     def _on_scan(self, msg: LaserScanMsg) -> None:
         with self._lock:
-            if self._guard is None:
+            if self._limiter is None:
                 return
             try:
-                self._guard.see(scan_from_msg(msg))
-            except SensorDataError:  # obstacle_avoidance says so; without a scan the guard lets pass
+                self._limiter.see(scan_from_msg(msg))
+            except SensorDataError:  # obstacle_avoidance says so; without a scan nothing is limited
                 self._diagnostics.count("bad_scans")
 
     def _on_camera_info(self, msg: CameraInfoMsg) -> None:
@@ -298,7 +298,7 @@ class VisualServoing:
         """Whether an image may be left alone; not one from which the robot had to brake for what comes between."""
         if self._steady is None or not 0.0 <= stamp - self._looked_at < self._params.steady_period_s:
             return False
-        return self._guard is None or not self._guard.limit(rospy.get_time(), self._steady)[1]
+        return self._limiter is None or not self._limiter.limit(rospy.get_time(), self._steady)[1]
 
     def _detect(self, msg: Image, servo: ServoCommand, stamp: float) -> list[MarkerDetection]:
         if self._unusable:
@@ -345,14 +345,14 @@ class VisualServoing:
         if problem:
             decision = Decision(Twist2D(), "stopped", problem)
         self._following = decision.state
-        twist, guarded = (decision.twist, False) if self._guard is None else self._guard.limit(now, decision.twist)
+        twist, limited = (decision.twist, False) if self._limiter is None else self._limiter.limit(now, decision.twist)
         self._commands.publish(twist_to_msg(twist))
-        if seen is not None and not guarded and self._follows_steadily(decision, servo.gap_m):
+        if seen is not None and not limited and self._follows_steadily(decision, servo.gap_m):
             self._steady = twist
         level = _LEVELS.get(decision.state, bad)
         gap = "" if decision.gap_m is None else round(decision.gap_m, 3)
         message = f"{decision.state}: {decision.reason}" if decision.reason else decision.state
-        self._diagnostics.set(level, message, gap_m=gap, braked_for_an_obstacle=guarded)
+        self._diagnostics.set(level, message, gap_m=gap, braked_for_an_obstacle=limited)
 
     def _follows_steadily(self, decision: Decision, gap_m: float) -> bool:
         """Whether the command may stay as it is for an image."""

@@ -189,7 +189,7 @@ class _Driven:
             return
         self._state = status.state
         pose, route, goal = self._pose, self._route, status.goal
-        if status.hands != "guided" or goal is None or pose is None or route is None:
+        if status.teleop_mode != "guided" or goal is None or pose is None or route is None:
             return
         if math.dist(route[-1], (goal.x, goal.y)) < _SAME_PLACE_M:  # else it is the route to a goal before
             self._type(self._human.keys(pose, route, now))

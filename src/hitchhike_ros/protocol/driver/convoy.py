@@ -10,7 +10,7 @@ import numpy as np
 from hitchhike_ros.core.datatypes import FloatArray, HitchhikingPoint, MarkerObservation, Pose2D, PoseEstimate
 from hitchhike_ros.core.geometry import compose, inverse
 from hitchhike_ros.localization.handover import handover
-from hitchhike_ros.protocol.messages import Ack, Message, Plate
+from hitchhike_ros.protocol.messages import Ack, Message, RearMarker
 
 # A rider that has not said how it sees the robot ahead is about so far behind it: m, m, rad (chosen).
 _UNSEEN = Pose2D(1.0)
@@ -36,7 +36,7 @@ class Rider:
     """
 
     offer: Offer
-    plate: Plate | None = None
+    rear_marker: RearMarker | None = None
     due: float = 0.0
     heard_at: float = 0.0
     coupled: bool = False
@@ -62,9 +62,9 @@ class Rider:
 class Convoy:
     """Riders in the order of their places; the first follows the driver, each other one the rider ahead of it."""
 
-    def __init__(self, plate: Plate) -> None:
-        """``plate`` is on the driver's back."""
-        self._plate = plate
+    def __init__(self, rear_marker: RearMarker) -> None:
+        """``rear_marker`` is the driver's."""
+        self._rear_marker = rear_marker
         self._riders: list[Rider] = []
 
     def __iter__(self) -> Iterator[Rider]:
@@ -115,21 +115,23 @@ class Convoy:
     def place(self, rider: Rider) -> int:
         return self._riders.index(rider) + 1
 
-    def ahead_of(self, rider: Rider) -> Plate:
-        """The plate that ``rider`` follows: of the next robot ahead that has one."""
-        plates = [ahead.plate for ahead in self._riders[: self._riders.index(rider)] if ahead.plate is not None]
-        return plates[-1] if plates else self._plate
+    def ahead_of(self, rider: Rider) -> RearMarker:
+        """The rear marker that ``rider`` follows: of the next robot ahead that has one."""
+        rear_markers = [
+            ahead.rear_marker for ahead in self._riders[: self._riders.index(rider)] if ahead.rear_marker is not None
+        ]
+        return rear_markers[-1] if rear_markers else self._rear_marker
 
     def pose_ahead_of(self, rider: Rider, driver: PoseEstimate, mounting: FloatArray) -> PoseEstimate:
         """Where the robot is that ``rider`` follows, from the driver's own pose and what the riders between see."""
-        here, plate = driver, self._plate
+        here, rear_marker = driver, self._rear_marker
         for ahead in self._riders[: self._riders.index(rider)]:
-            if ahead.plate is None:
+            if ahead.rear_marker is None:
                 continue
             if ahead.seen is None:
                 behind = compose(here.pose, inverse(_UNSEEN))
                 here = PoseEstimate(driver.stamp, behind, here.covariance + _UNSEEN_SIGMA)
             else:
-                here = handover("measured", here, ahead.seen, plate.marker_pose, mounting)
-            plate = ahead.plate
+                here = handover("measured", here, ahead.seen, rear_marker.marker_pose, mounting)
+            rear_marker = ahead.rear_marker
         return PoseEstimate(driver.stamp, here.pose, here.covariance)

@@ -44,7 +44,7 @@ from hitchhike_ros.protocol.messages import (
     Lock,
     Message,
     NewObstacles,
-    Plate,
+    RearMarker,
     Request,
     RequestCancel,
     Terminate,
@@ -119,7 +119,7 @@ class DriverMachine(Machine[DriverState]):
     """Drives to the robot's own goal and takes a hitchhiker along where that is allowed.
 
     ``planner`` gives the path (N, 2) in ``map`` between two poses and raises PlanningError where there is none;
-    ``marker_pose`` is the marker on the own back in base_footprint.
+    ``marker_pose`` is the own rear marker in base_footprint.
     """
 
     ROWS = (
@@ -173,8 +173,10 @@ class DriverMachine(Machine[DriverState]):
         self.own_goal: Pose2D | None = None
         self.refused = 0  # locks of offers that were not made, or no longer hold
         self._sites, self._planner, self._marker_pose = sites, planner, marker_pose
-        self._plate = Plate(marker_id=params.marker_id, marker_size_m=params.marker_size_m, marker_pose=marker_pose)
-        self._convoy = Convoy(self._plate)
+        self._rear_marker = RearMarker(
+            marker_id=params.marker_id, marker_size_m=params.marker_size_m, marker_pose=marker_pose
+        )
+        self._convoy = Convoy(self._rear_marker)
         self._offered: dict[tuple[str, str], tuple[float, Offer]] = {}  # to whom, and until when it holds
         self._asked: dict[tuple[str, str], bool] = {}  # whether it could serve who asked
         self._path: OwnPath | None = None
@@ -264,7 +266,7 @@ class DriverMachine(Machine[DriverState]):
         if self.state is S.NAVIGATING:
             return self.params.places
         riders = tuple(self._convoy)
-        open_to_more = self.state in (S.ALIGNING, S.ALIGNED) and riders[-1].plate
+        open_to_more = self.state in (S.ALIGNING, S.ALIGNED) and riders[-1].rear_marker
         return self.params.places - len(riders) if open_to_more else 0
 
     def announced(self) -> tuple[Waypoint, ...]:
@@ -312,7 +314,7 @@ class DriverMachine(Machine[DriverState]):
         if isinstance(offer, str):
             self._deny(request, offer)
             return
-        self._convoy.add(Rider(offer, request.plate))
+        self._convoy.add(Rider(offer, request.rear_marker))
         # The same request may be offered a ride again after the first offer has expired.
         self._last_words = [(due, word) for due, word in self._last_words if word.ride_id != offer.ride_id]
         self._report(f"Offering {offer.hitchhiker} a ride of {offer.ride_m:.1f} m")
@@ -616,8 +618,8 @@ class DriverMachine(Machine[DriverState]):
         estimate = self.situation.estimate
         pose = estimate.pose if estimate is not None else offer.point.aligning_pose
         riders = tuple(self._convoy)
-        ahead = riders[-1].plate if riders and riders[-1].offer is not offer else None
-        plate = ahead or self._plate
+        ahead = riders[-1].rear_marker if riders and riders[-1].offer is not offer else None
+        rear_marker = ahead or self._rear_marker
         self._send(
             Accept(
                 robot_id=self.robot_id,
@@ -629,9 +631,9 @@ class DriverMachine(Machine[DriverState]):
                 profile=self.params.profile,
                 ride_m=offer.ride_m,
                 decouple_point=(offer.decouple_pose.x, offer.decouple_pose.y),
-                marker_id=plate.marker_id,
-                marker_size_m=plate.marker_size_m,
-                marker_pose=plate.marker_pose,
+                marker_id=rear_marker.marker_id,
+                marker_size_m=rear_marker.marker_size_m,
+                marker_pose=rear_marker.marker_pose,
                 path=path,
                 safe_speed_mps=self.params.safe_speed_mps,
             )
@@ -677,7 +679,7 @@ class DriverMachine(Machine[DriverState]):
 
     def _join(self, lock: Lock, offer: Offer) -> Rider:
         self._offered.pop((lock.robot_id, lock.ride_id), None)
-        rider = Rider(offer, lock.plate, self._now + lock.in_s)
+        rider = Rider(offer, lock.rear_marker, self._now + lock.in_s)
         self._convoy.add(rider, may_pass=self.state is not S.ALIGNED)  # there one may be coupling already
         self._last_words = [(due, word) for due, word in self._last_words if word.ride_id != offer.ride_id]
         self._report(f"Meeting {offer.hitchhiker} for a ride of {offer.ride_m:.1f} m")

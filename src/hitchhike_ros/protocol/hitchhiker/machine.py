@@ -48,7 +48,7 @@ from hitchhike_ros.protocol.messages import (
     Driver,
     Lock,
     Message,
-    Plate,
+    RearMarker,
     Request,
     RequestCancel,
     Terminate,
@@ -187,13 +187,13 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         params: HitchhikingParameters,
         sites: Sites,
         camera: tuple[float, float],
-        plate: Plate | None = None,
+        rear_marker: RearMarker | None = None,
         neighbours: Neighbours | None = None,
         metres: SoloMetres = cdist,
     ) -> None:
-        """``plate`` is on the own back; ``metres`` of driving alone are what choosing a ride needs."""
+        """``rear_marker`` is this robot's own. ``metres`` gives the way of driving alone, for choosing among rides."""
         super().__init__(S.IDLE, params)
-        self._sites, self._own_plate, self._metres = sites, plate, metres
+        self._sites, self._own_rear_marker, self._metres = sites, rear_marker, metres
         self._neighbours = neighbours or Neighbours()
         self.ready_in_s = 0.0  # until it could start from where it asks: a ride to there may still be on
         self.meeting: Meeting | None = None
@@ -203,7 +203,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self.asks = EVERYBODY
         self._requested_at = self._due_at = self._way_s = self._agreed_at = self._driver_due_at = 0.0
         self._place = 1
-        self._plate: Plate | None = None  # ahead
+        self._rear_marker: RearMarker | None = None  # ahead
         self._sent_off = False
         self._lost_way_at: float | None = None
         self.rode = False  # since it was asked to bring the robot to its goal
@@ -246,16 +246,16 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     @property
     def servo(self) -> ServoCommand | None:
-        plate = self._plate
-        if plate is None or self.state not in (S.COUPLING, S.CATCHING_UP, S.RECOUPLING, *COUPLED):
+        rear_marker = self._rear_marker
+        if rear_marker is None or self.state not in (S.COUPLING, S.CATCHING_UP, S.RECOUPLING, *COUPLED):
             return None
         if self.state is S.CATCHING_UP:
-            return ServoCommand("observe", plate.marker_id, plate.marker_size_m)
+            return ServoCommand("observe", rear_marker.marker_id, rear_marker.marker_size_m)
         # A driver that has fallen silent may be standing: its old speed must not push.
         fresh = self._now - self._heard_at <= self.params.ack_timeout_s
         speed = self._report_at.v if fresh and isinstance(self._report_at, Driver) else 0.0
         speed = _SPEED_STEP_MPS * round(speed / _SPEED_STEP_MPS)
-        return ServoCommand("follow", plate.marker_id, plate.marker_size_m, self.params.gap_m, speed)
+        return ServoCommand("follow", rear_marker.marker_id, rear_marker.marker_size_m, self.params.gap_m, speed)
 
     @property
     def way(self) -> GoalCommand | None:
@@ -308,7 +308,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
                 profile=self.params.profile,
                 priority=self.params.priority,
                 in_s=self.ready_in_s,
-                plate=self._own_plate,
+                rear_marker=self._own_rear_marker,
             )
         )
 
@@ -377,7 +377,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._cancel_other_offers()  # that it is aligned confirms the lock as well
         self._in_gap_since = self._report_at = None
         if aligned.ahead is not None:
-            self._plate = aligned.ahead
+            self._rear_marker = aligned.ahead
         self._go(S.COUPLING)
 
     def _offer_withdrawn(self, message: Deny | Terminate) -> None:
@@ -437,8 +437,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _acknowledge(self, message: Driver) -> None:
         self._hear(message)
         seen, own = self._observation(), self.situation.seen_from
-        if seen is not None and own is not None and self._plate is not None:
-            self._track.add(compose(own, seen.pose), compose(message.pose, self._plate.marker_pose))
+        if seen is not None and own is not None and self._rear_marker is not None:
+            self._track.add(compose(own, seen.pose), compose(message.pose, self._rear_marker.marker_pose))
         gap = self.gap_m()
         following = self.state is S.RIDING and gap is not None
         self._send(
@@ -595,7 +595,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _observation(self) -> MarkerObservation | None:
         """The driver's marker, unless it was seen too long ago to act upon."""
         seen = self.situation.observation
-        if seen is None or self._plate is None or seen.marker_id != self._plate.marker_id:
+        if seen is None or self._rear_marker is None or seen.marker_id != self._rear_marker.marker_id:
             return None
         return seen if self._now - seen.stamp <= self.params.repeat_period_s else None
 
@@ -604,8 +604,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._send(Coupled(**self._to_driver(), gap_m=gap))
 
     def _hear(self, message: Driver | Decouple) -> None:
-        if message.ahead is not None and message.ahead != self._plate:  # it moves up
-            self._plate, self._track, self._told = message.ahead, DriverTrack(), deque()
+        if message.ahead is not None and message.ahead != self._rear_marker:  # it moves up
+            self._rear_marker, self._track, self._told = message.ahead, DriverTrack(), deque()
         self._heard_at, self._report_at, self.ridden_m = self._now, message, message.ridden_m
         if not self._told or distance(self._told[-1], message.pose) >= _TOLD_STEP_M:
             self._told.append(message.pose)
@@ -621,7 +621,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         """Back to asking, as long as T_hwait of the first request allows."""
         self._report(reason)
         self._cancel_offers()
-        self.offer = self._plate = None
+        self.offer = self._rear_marker = None
         self._new_request()
         self._go(S.REQUESTING, reason)
         self._entered = self._asked_since
@@ -629,7 +629,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _finish(self, reason: str) -> None:
         self._report(reason or "Ride completed")
         self._go(S.IDLE, reason)
-        self.offer = self._plate = self.meeting = None
+        self.offer = self._rear_marker = self.meeting = None
 
     def _go_alone(self, reason: str) -> None:
         """The ride is over for one that knows where it is."""
@@ -676,13 +676,13 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._driver_not_found()
 
     def _lock(self, offer: Accept) -> None:
-        self.offer, self._plate = offer, offer.plate
+        self.offer, self._rear_marker = offer, offer.rear_marker
         self._go(S.LOCKING)
         self._repeat_lock()
 
     def _send_lock(self) -> None:
         if self.meeting is None:
-            self._send(Lock(**self._to_driver(), plate=self._own_plate))
+            self._send(Lock(**self._to_driver(), rear_marker=self._own_rear_marker))
             return
         point = self.meeting.point
         self._send(
@@ -692,7 +692,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
                 waiting=point.waiting_pose,
                 leave=self.meeting.leave,
                 in_s=self._arrives_in_s(),
-                plate=self._own_plate,
+                rear_marker=self._own_rear_marker,
             )
         )
 
@@ -830,9 +830,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _places_to_look(self) -> list[Pose2D]:
         """On the driver's own track, or on the spot when it is near; then straight in front of its marker."""
         estimate = self.situation.estimate
-        if self._plate is None or estimate is None:
+        if self._rear_marker is None or estimate is None:
             return []
-        marker = compose(self._told[-1], self._plate.marker_pose)
+        marker = compose(self._told[-1], self._rear_marker.marker_pose)
         off = self._camera[0] + self.params.gap_m
         behind = next((p for p in reversed(self._told) if distance(p, marker) >= off + _CATCH_UP_M), self._told[0])
         behind = estimate.pose if distance(estimate.pose, marker) < off + _CATCH_UP_M else behind
@@ -862,8 +862,8 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         """Localization and mapping take over from the ride."""
         self._settled_pose = pose
         seen = self._observation()
-        if pose is not None and seen is not None and self._plate is not None:
-            self.left_at = compose(compose(pose.pose, seen.pose), inverse(self._plate.marker_pose))
+        if pose is not None and seen is not None and self._rear_marker is not None:
+            self.left_at = compose(compose(pose.pose, seen.pose), inverse(self._rear_marker.marker_pose))
         if pose is not None:
             self._effects.append(TakePose(pose))
         if self._report_at is not None and self._report_at.new_obstacles.obstacles:
@@ -875,9 +875,9 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _pose_behind_driver(self, seen: MarkerObservation) -> PoseEstimate | None:
         driver = self._driver_estimate()
-        if driver is None or self._plate is None:
+        if driver is None or self._rear_marker is None:
             return None
-        marker, own, turn = self._plate.marker_pose, self.situation.seen_from, self._track.turn()
+        marker, own, turn = self._rear_marker.marker_pose, self.situation.seen_from, self._track.turn()
         if own is not None and turn is not None:
             seen = with_heading(seen, driver.pose.theta + marker.theta, own.theta + turn[0], turn[1])
         return handover(self.params.handover, driver, seen, marker, self.params.mounting)
@@ -889,12 +889,12 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if located is not None:
             return located
         driver = self._driver_estimate()
-        if driver is None or self._plate is None:
+        if driver is None or self._rear_marker is None:
             return self.situation.estimate  # still where it coupled: its own estimate has not been switched off yet
-        marker = self._plate.marker_pose
+        marker = self._rear_marker.marker_pose
         ahead = Pose2D(self._camera[0] + self.params.gap_m, 0.0, np.pi)
         # Both may have gone on since the driver spoke last.
         gone_m = self.params.ride_speed_mps * (self._now - self._heard_at)
         covariance = np.diag(np.square([_LOST_SIGMA[0] + gone_m, _LOST_SIGMA[1] + gone_m, _LOST_SIGMA[2]]))
-        assumed = MarkerObservation(self._now, self._plate.marker_id, ahead, covariance)
+        assumed = MarkerObservation(self._now, self._rear_marker.marker_id, ahead, covariance)
         return handover("measured", driver, assumed, marker)

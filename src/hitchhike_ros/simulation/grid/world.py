@@ -84,10 +84,10 @@ class GridWorldParameters:
     camera_range_m: Positive = 4.0
     camera_nearest_m: NonNegative = 0.2
     camera_view_rad: Positive = 1.05
-    plate_view_rad: Positive = 1.3  # from farther to the side a plate is not read
-    marker_x_m: float = -0.2  # the plate on the back, which looks back
-    plate_sigma_m: NonNegative = 0.005
-    plate_sigma_rad: NonNegative = 0.01
+    marker_view_rad: Positive = 1.3  # a marker seen from farther to the side is not read
+    marker_x_m: float = -0.2  # the rear marker, which faces backwards
+    marker_sigma_m: NonNegative = 0.005
+    marker_sigma_rad: NonNegative = 0.01
     # A follower that lags behind catches up by this much faster than rides are driven.
     follow_factor: Positive = 1.3
     # Who is engaged looks again after this share of the shortest of its own periods.
@@ -247,7 +247,7 @@ class GridWorld:
         self._plain = n.loss == n.duplication == n.reordering == n.jitter_s == 0.0 and not n.partitions
         p = self.params
         self._covariance = np.diag(np.square([p.position_sigma_m, p.position_sigma_m, p.heading_sigma_rad]))
-        self._plate_covariance = np.diag(np.square([p.plate_sigma_m, p.plate_sigma_m, p.plate_sigma_rad]))
+        self._marker_covariance = np.diag(np.square([p.marker_sigma_m, p.marker_sigma_m, p.marker_sigma_rad]))
 
     # Robots.
 
@@ -709,22 +709,22 @@ class GridWorld:
         return NavigationReport(robot.goal_id, "arrived" if arrived else "driving")
 
     def _look(self, robot: GridRobot, leader: GridRobot) -> bool:
-        """Whether the robot's camera sees the plate on the other's back; who follows keeps turning to what it sees."""
+        """Whether the robot's camera sees the rear marker of the other; who follows keeps turning to what it sees."""
         body, p = robot.body, self.params
         leader.body.advance(self.now)
-        plate = compose(leader.body.pose, p.marker_pose)
+        marker = compose(leader.body.pose, p.marker_pose)
         here = body.pose
         if body.leader is leader.body and body.sees:
             here = Pose2D(here.x, here.y, math.atan2(leader.body.y - here.y, leader.body.x - here.x))
         eye = compose(here, Pose2D(p.camera_x_m, 0.0, 0.0))
-        apart = math.hypot(plate.x - eye.x, plate.y - eye.y)
+        apart = math.hypot(marker.x - eye.x, marker.y - eye.y)
         sees = p.camera_nearest_m <= apart <= p.camera_range_m
         if sees:
-            bearing = math.atan2(plate.y - eye.y, plate.x - eye.x)
+            bearing = math.atan2(marker.y - eye.y, marker.x - eye.x)
             ahead = abs(math.remainder(bearing - here.theta, 2.0 * math.pi))
-            aside = abs(math.remainder(bearing + math.pi - plate.theta, 2.0 * math.pi))
-            sees = ahead <= p.camera_view_rad / 2 and aside <= p.plate_view_rad
-            sees = sees and self.paths.sees((eye.x, eye.y), (plate.x, plate.y))
+            aside = abs(math.remainder(bearing + math.pi - marker.theta, 2.0 * math.pi))
+            sees = ahead <= p.camera_view_rad / 2 and aside <= p.marker_view_rad
+            sees = sees and self.paths.sees((eye.x, eye.y), (marker.x, marker.y))
         if body.leader is leader.body:
             body.look(sees)
         return sees
@@ -733,11 +733,11 @@ class GridWorld:
         p, gauss = self.params, self._random.gauss
         true = between(robot.body.pose, compose(leader.body.pose, p.marker_pose))
         seen = Pose2D(
-            true.x + gauss(0.0, p.plate_sigma_m),
-            true.y + gauss(0.0, p.plate_sigma_m),
-            true.theta + gauss(0.0, p.plate_sigma_rad),
+            true.x + gauss(0.0, p.marker_sigma_m),
+            true.y + gauss(0.0, p.marker_sigma_m),
+            true.theta + gauss(0.0, p.marker_sigma_rad),
         )
-        return MarkerObservation(local, leader.params.marker_id, seen, self._plate_covariance)
+        return MarkerObservation(local, leader.params.marker_id, seen, self._marker_covariance)
 
     # Bookkeeping.
 
