@@ -9,8 +9,7 @@ import numpy as np
 
 from flat_world import cast
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Obstacle, Odometry, Pose2D, Twist2D
-from hitchhike_ros.core.geometry import compose, wrap_angle
-from hitchhike_ros.localization.motion import move
+from hitchhike_ros.core.geometry import compose, move, wrap_angle
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.simulation.physics.walls import merge_cells
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Twist2D
 
 
 def wrap_angle(angle: float) -> float:
@@ -44,6 +44,58 @@ def between(T_a_b: Pose2D, T_a_c: Pose2D) -> Pose2D:
 def distance(a: Pose2D, b: Pose2D) -> float:
     """Distance of two positions in m."""
     return math.hypot(a.x - b.x, a.y - b.y)
+
+
+def move(pose: Pose2D, twist: Twist2D, dt_s: float) -> Pose2D:
+    """The pose after ``twist`` was held for ``dt_s``: an arc, continuous at omega = 0 (P18 Eq. 11)."""
+    s, c, _, _ = arc(twist.omega * dt_s)
+    return compose(pose, Pose2D(twist.v * dt_s * s, twist.v * dt_s * c, twist.omega * dt_s))
+
+
+def twist_between(before: Pose2D, after: Pose2D, dt_s: float) -> Twist2D:
+    """The twist whose arc leads from one odometry pose to the next within ``dt_s`` > 0; it undoes :func:`move`.
+
+    Where no single arc joins the two (the wheels changed speed in between), the arc has the turn of the two poses and
+    the length of the chord's projection on it.
+    """
+    step = between(before, after)
+    s, c, _, _ = arc(step.theta)
+    return Twist2D((step.x * s + step.y * c) / (s * s + c * c) / dt_s, step.theta / dt_s)
+
+
+def interpolate(T_a_b: Pose2D, T_a_c: Pose2D, share: float) -> Pose2D:
+    """The pose at a ``share`` of the way from b to c at a constant velocity in the body's frame (a planar screw).
+
+    0 gives b and 1 gives c; less or more carries the motion on to either side. A differential drive at a constant
+    twist moves exactly so; a pose that also slides sideways is joined without a jump.
+
+    >>> interpolate(Pose2D(), Pose2D(1.0, 1.0, math.pi / 2), 0.5)  # a quarter of a circle about (0, 1)
+    Pose2D(x=0.707..., y=0.292..., theta=0.785...)
+    """
+    step = between(T_a_b, T_a_c)
+    s, c, _, _ = arc(step.theta)
+    along, across = (step.x * s + step.y * c) / (s * s + c * c), (step.y * s - step.x * c) / (s * s + c * c)
+    turn = share * step.theta
+    s, c, _, _ = arc(turn)
+    return compose(T_a_b, Pose2D(share * (along * s - across * c), share * (along * c + across * s), turn))
+
+
+def arc(turn: float) -> tuple[float, float, float, float]:
+    """sin(b)/b and (1 - cos b)/b of a ``turn`` b in rad, then their derivatives by b; continuous at b = 0.
+
+    A robot that drives an arc of length l and turns by b comes to l sin(b)/b ahead and l (1 - cos b)/b to the left.
+    """
+    if abs(turn) < 1e-2:
+        b2 = turn * turn
+        return (
+            1.0 - b2 / 6.0 + b2 * b2 / 120.0,
+            turn * (0.5 - b2 / 24.0 + b2 * b2 / 720.0),
+            turn * (-1.0 / 3.0 + b2 / 30.0),
+            0.5 - b2 / 8.0 + b2 * b2 / 144.0,
+        )
+    sin, cos = math.sin(turn), math.cos(turn)
+    s, c = sin / turn, (1.0 - cos) / turn
+    return s, c, (cos - s) / turn, (sin - c) / turn
 
 
 def transform_points(T_a_b: Pose2D, points_b: FloatArray) -> FloatArray:

@@ -11,8 +11,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate, Positive, Twist2D
-from hitchhike_ros.core.geometry import compose, compose_jacobians, inverse, inverse_jacobian, wrap_angle, wrap_angles
-from hitchhike_ros.localization.motion import MotionNoise, jacobians, move
+from hitchhike_ros.core.geometry import (
+    compose,
+    compose_jacobians,
+    inverse,
+    inverse_jacobian,
+    move,
+    wrap_angle,
+    wrap_angles,
+)
+from hitchhike_ros.localization.motion import MotionNoise, jacobians
 
 # Chi-square quantiles at 99.9 % for 3 degrees of freedom.
 GATE_3 = 16.27

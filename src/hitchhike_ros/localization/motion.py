@@ -1,4 +1,4 @@
-"""Velocity motion model of a differential drive with its Jacobians and noise (P18 Eqs. 7-12)."""
+"""Noise and Jacobians of the velocity motion model (P18 Eqs. 7-12); the motion itself is ``core.geometry.move``."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Pose2D, Positive, Twist2D
-from hitchhike_ros.core.geometry import between, wrap_angle
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive, Twist2D
+from hitchhike_ros.core.geometry import arc
 
 
 @dataclass(frozen=True)
@@ -37,21 +37,9 @@ class MotionNoise:
         )
 
 
-def move(pose: Pose2D, twist: Twist2D, dt_s: float) -> Pose2D:
-    """The pose after ``twist`` was held for ``dt_s``: an arc, continuous at omega = 0 (P18 Eq. 11)."""
-    s, c, _, _ = _arc(twist.omega * dt_s)
-    along, across = twist.v * dt_s * s, twist.v * dt_s * c
-    cos, sin = math.cos(pose.theta), math.sin(pose.theta)
-    return Pose2D(
-        pose.x + cos * along - sin * across,
-        pose.y + sin * along + cos * across,
-        wrap_angle(pose.theta + twist.omega * dt_s),
-    )
-
-
 def jacobians(theta: float, twist: Twist2D, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """G (3, 3) = d move / d pose and V (3, 2) = d move / d (v, omega) (P18 Eqs. 8 and 9)."""
-    s, c, ds, dc = _arc(twist.omega * dt_s)
+    s, c, ds, dc = arc(twist.omega * dt_s)
     cos, sin = math.cos(theta), math.sin(theta)
     path = twist.v * dt_s
     G = np.array([[1.0, 0.0, path * (-sin * s - cos * c)], [0.0, 1.0, path * (cos * s - sin * c)], [0.0, 0.0, 1.0]])
@@ -63,29 +51,3 @@ def jacobians(theta: float, twist: Twist2D, dt_s: float) -> tuple[FloatArray, Fl
         ]
     )
     return G, V
-
-
-def twist_between(before: Pose2D, after: Pose2D, dt_s: float) -> Twist2D:
-    """The twist whose arc leads from one odometry pose to the next within ``dt_s`` > 0.
-
-    Where no single arc joins the two (the wheels changed speed in between), the arc has the turn of the two poses and
-    the length of the chord's projection on it.
-    """
-    step = between(before, after)
-    s, c, _, _ = _arc(step.theta)
-    return Twist2D((step.x * s + step.y * c) / (s * s + c * c) / dt_s, step.theta / dt_s)
-
-
-def _arc(beta: float) -> tuple[float, float, float, float]:
-    """sin(b)/b, (1 - cos b)/b and their derivatives by b, with their limits where the turn b vanishes."""
-    if abs(beta) < 1e-2:
-        b2 = beta * beta
-        return (
-            1.0 - b2 / 6.0 + b2 * b2 / 120.0,
-            beta * (0.5 - b2 / 24.0 + b2 * b2 / 720.0),
-            beta * (-1.0 / 3.0 + b2 / 30.0),
-            0.5 - b2 / 8.0 + b2 * b2 / 144.0,
-        )
-    sin, cos = math.sin(beta), math.cos(beta)
-    s, c = sin / beta, (1.0 - cos) / beta
-    return s, c, (cos - s) / beta, (sin - c) / beta

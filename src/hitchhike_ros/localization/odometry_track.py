@@ -9,8 +9,7 @@ import numpy as np
 
 from hitchhike_ros.core.datatypes import Odometry, Pose2D, Positive, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
-from hitchhike_ros.core.geometry import between
-from hitchhike_ros.localization.motion import move, twist_between
+from hitchhike_ros.core.geometry import between, move, twist_between
 
 
 @dataclass(frozen=True)

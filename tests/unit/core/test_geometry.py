@@ -7,11 +7,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hitchhike_ros.core import geometry
-from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Twist2D
 
 coordinates = st.floats(-1e3, 1e3)
 angles = st.floats(-20.0, 20.0)
 poses = st.builds(Pose2D, coordinates, coordinates, angles)
+yaw_rates = st.one_of(st.floats(-3, 3), st.floats(-1e-7, 1e-7), st.just(0.0), st.sampled_from([0.0999, 0.1001, -0.1]))
+twists = st.builds(Twist2D, st.floats(-1.5, 1.5), yaw_rates)
+periods = st.floats(0.01, 0.5)
 
 
 def as_array(pose: Pose2D) -> FloatArray:
@@ -84,6 +87,50 @@ def test_identity_and_inverse(pose: Pose2D) -> None:
 @given(poses, poses)
 def test_between_undoes_compose(T_a_b: Pose2D, T_b_c: Pose2D) -> None:
     assert_same_pose(geometry.between(T_a_b, geometry.compose(T_a_b, T_b_c)), T_b_c)
+
+
+@given(poses, twists, periods)
+def test_an_arc_is_the_limit_of_many_small_straight_steps(pose: Pose2D, twist: Twist2D, dt: float) -> None:
+    x, y, n = pose.x, pose.y, 400
+    for k in range(n):
+        heading = pose.theta + twist.omega * dt * (k + 0.5) / n
+        x += twist.v * dt / n * math.cos(heading)
+        y += twist.v * dt / n * math.sin(heading)
+    assert_same_pose(geometry.move(pose, twist, dt), Pose2D(x, y, pose.theta + twist.omega * dt))
+
+
+@given(poses, twists, periods)
+def test_the_twist_between_two_poses_leads_from_one_to_the_other(pose: Pose2D, twist: Twist2D, dt: float) -> None:
+    found = geometry.twist_between(pose, geometry.move(pose, twist, dt), dt)
+    assert (found.v, found.omega) == pytest.approx((twist.v, twist.omega), abs=1e-9 / dt)
+
+
+def test_the_twist_to_a_pose_beside_the_robot_has_the_length_of_the_chord_along_its_arc() -> None:
+    assert geometry.twist_between(Pose2D(), Pose2D(0.3, 0.4), 0.5) == Twist2D(0.6, 0.0)
+
+
+@given(poses, twists, st.floats(-0.5, 1.5))
+def test_interpolation_follows_a_constant_twist(pose: Pose2D, twist: Twist2D, share: float) -> None:
+    joined = geometry.interpolate(pose, geometry.move(pose, twist, 0.4), share)
+    assert_same_pose(joined, geometry.move(pose, twist, 0.4 * share))
+
+
+@given(poses, poses, st.floats(0.0, 1.0))
+def test_interpolation_ends_at_both_poses_and_is_the_same_from_either(a: Pose2D, b: Pose2D, share: float) -> None:
+    assume(abs(geometry.between(a, b).theta) < 3.0)
+    assert_same_pose(geometry.interpolate(a, b, 0.0), a)
+    assert_same_pose(geometry.interpolate(a, b, 1.0), b)
+    assert_same_pose(geometry.interpolate(a, b, share), geometry.interpolate(b, a, 1.0 - share))
+
+
+@pytest.mark.parametrize("turn", [1e-2, -1e-2, 0.5, -2.0])
+def test_the_arc_and_its_derivatives(turn: float) -> None:
+    step = 1e-6
+    s, c, ds, dc = geometry.arc(turn)
+    assert (s, c) == pytest.approx((math.sin(turn) / turn, (1.0 - math.cos(turn)) / turn), abs=1e-12)
+    ahead, behind = geometry.arc(turn + step), geometry.arc(turn - step)
+    slopes = ((ahead[0] - behind[0]) / (2 * step), (ahead[1] - behind[1]) / (2 * step))
+    assert (ds, dc) == pytest.approx(slopes, abs=1e-8)
 
 
 @given(poses, poses)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchhike_ros.core.datatypes import MarkerObservation, Pose2D, Twist2D
-from hitchhike_ros.core.geometry import between, compose, wrap_angle
+from hitchhike_ros.core.geometry import between, compose, move, wrap_angle
 from hitchhike_ros.localization.ekf import (
     Ekf,
     EkfParameters,
@@ -21,7 +21,7 @@ from hitchhike_ros.localization.ekf import (
     mahalanobis_squared,
     pose_error,
 )
-from hitchhike_ros.localization.motion import MotionNoise, move
+from hitchhike_ros.localization.motion import MotionNoise
 
 POSES = st.builds(Pose2D, st.floats(-10, 10), st.floats(-10, 10), st.floats(-3.1, 3.1))
 P0 = np.diag([0.04, 0.09, 0.01])

@@ -15,10 +15,10 @@ import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Positive, Twist2D
 from hitchhike_ros.core.errors import InputFileError
-from hitchhike_ros.core.geometry import wrap_angle
+from hitchhike_ros.core.geometry import move, wrap_angle
 from hitchhike_ros.experiments.bench.hypotheses import Hypotheses, HypothesesParameters
 from hitchhike_ros.localization.ekf import Ekf, EkfParameters, LandmarkObservation, Landmarks
-from hitchhike_ros.localization.motion import MotionNoise, move
+from hitchhike_ros.localization.motion import MotionNoise
 
 Association = Literal["none", "known", "signature", "blind"]
 

@@ -1,0 +1,17 @@
+"""The examples in the docstrings of core are true."""
+
+from __future__ import annotations
+
+import doctest
+from types import ModuleType
+
+import pytest
+
+from hitchhike_ros.core import geometry
+
+
+@pytest.mark.parametrize("module", [geometry], ids=lambda module: module.__name__)
+def test_examples(module: ModuleType) -> None:
+    failed, attempted = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    assert failed == 0
+    assert attempted > 0
