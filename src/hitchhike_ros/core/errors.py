@@ -88,5 +88,9 @@ class SensorDataError(HitchhikeError):
     """A sensor reading is senseless (NaN, wrong length, time running backwards)."""
 
 
+class StaleInputError(SensorDataError):
+    """An input or an order that a module needs is missing or too old."""
+
+
 class TeleopError(HitchhikeError):
     """A robot that a human drives cannot go on as the human wants, or there is nothing to drive it with."""

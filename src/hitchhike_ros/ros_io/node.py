@@ -8,8 +8,9 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import diagnostic_updater
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
@@ -41,22 +42,34 @@ def run(name: str, build: Callable[[], object], *, dozes: bool = False) -> None:
         rospy.signal_shutdown(str(exc))
         sys.exit(1)
     rospy.spin()
-    del node
+    if getattr(node, "failure", None) is not None:
+        sys.exit(1)
+
+
+class _Updater(diagnostic_updater.Updater):
+    """Names what it reports after the robot and not after the node: a module is called the same in every process."""
+
+    def publish(self, msg: Any) -> None:
+        """One status, or a list of them."""
+        statuses = msg if isinstance(msg, list) else [msg]
+        robot = rospy.get_namespace().strip("/")
+        for status in statuses:
+            status.name = f"{robot}: {status.name}"
+        self.publisher.publish(DiagnosticArray(Header(stamp=rospy.Time.now()), statuses))
 
 
 class Diagnostics:
     """``/diagnostics`` at 1 Hz: the level and message last set, and counters.
 
-    The second is that of who watches, not of a simulated clock: a timer of rospy would wake at every tick of that.
+    The second is that of who watches, not of a simulated clock.
     """
 
     def __init__(self, name: str) -> None:
-        self._status = DiagnosticStatus(
-            name=f"{rospy.get_namespace().strip('/')}: {name}", hardware_id=rospy.get_name()
-        )
         self._level, self._message = OK, "starting"
         self._values: dict[str, object] = {}
-        self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
+        self._updater = _Updater()
+        self._updater.setHardwareID(rospy.get_name())
+        self._updater.add(name, self._report)
         threading.Thread(target=self._repeat, name="diagnostics", daemon=True).start()
 
     def set(self, level: int, message: str, **values: object) -> None:
@@ -65,7 +78,7 @@ class Diagnostics:
         self._level, self._message = level, message
         self._values.update(values)
         if changed:
-            self._publish()
+            self._updater.force_update()
 
     def count(self, what: str, by: int = 1) -> int:
         """Add to a counter that is published; the new count."""
@@ -75,13 +88,14 @@ class Diagnostics:
 
     def _repeat(self) -> None:
         while not rospy.is_shutdown():
-            self._publish()
+            self._updater.force_update()
             rospy.rostime.wallsleep(1.0)
 
-    def _publish(self) -> None:
-        self._status.level, self._status.message = self._level, self._message
-        self._status.values = [KeyValue(k, str(v)) for k, v in list(self._values.items())]
-        self._publisher.publish(DiagnosticArray(Header(stamp=rospy.Time.now()), [self._status]))
+    def _report(self, status: diagnostic_updater.DiagnosticStatusWrapper) -> diagnostic_updater.DiagnosticStatusWrapper:
+        status.summary(self._level, self._message)
+        for key, value in list(self._values.items()):
+            status.add(key, str(value))
+        return status
 
 
 class Switch:

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from hitchhike_ros.control.local_planner import LocalPlanner
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.safety_limiter import SafetyLimiter
-from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
 from hitchhike_ros.core.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import PlanningError
@@ -30,6 +29,8 @@ from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.modules.inputs import NavigationCommand, ServoingCommand, TeleopCommand
+from hitchhike_ros.modules.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParameters
 from hitchhike_ros.protocol.agent import Traveller
@@ -201,18 +202,18 @@ class ComposedRobot:
             decision = self._follow.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
             twist, _ = self._limiter.limit(now, decision.twist)
             self.following = decision.state
-            self._mux.command("servoing", twist, now)
+            self._mux.sense(ServoingCommand(twist), now)
 
     def miss_image(self, now: float) -> None:
         """No image has come; a robot that follows stands when that lasts."""
         servo = self._turn_to(self.status.servo, now)
         if servo is not None and servo.task == "follow" and now - self._image_at > _IMAGE_TIMEOUT_S:
             self.following = "stopped"
-            self._mux.command("servoing", Twist2D(), now)
+            self._mux.sense(ServoingCommand(Twist2D()), now)
 
     def steer(self, now: float, twist: Twist2D) -> None:
         """Somebody has taken the joystick."""
-        self._mux.command("teleop", twist, now)
+        self._mux.sense(TeleopCommand(twist), now)
 
     def _turn_to(self, servo: ServoCommand | None, now: float) -> ServoCommand | None:
         """A new order begins anew: the trail of another time leads nowhere."""
@@ -222,7 +223,7 @@ class ComposedRobot:
             self._follow.reset()
             self._tracker.reset()
             if before is not None and before.task == "follow":
-                self._mux.command("servoing", Twist2D(), now)
+                self._mux.sense(ServoingCommand(Twist2D()), now)
         return servo
 
     def _gray(self, covered: bool) -> npt.NDArray[np.uint8]:
@@ -248,13 +249,14 @@ class ComposedRobot:
         for effect in self.traveller.step(Tick(situation) if event is None else event, now):
             self._carry_out(effect, now, send)
         self.status = self.traveller.status(now)
+        self._mux.order(self.status, now)
         if self.status.goal is None:
             self._report = None
             self._local_planner.clear()
 
     def drive(self, now: float) -> None:
         """Pass the velocity command on to the wheels."""
-        self.body.command(self._mux.step(now), now)
+        self.body.command(self._mux.step(now).twist, now)
 
     def start(self, estimate: PoseEstimate) -> None:
         """Where an operator says that the robot is."""
@@ -301,7 +303,7 @@ class ComposedRobot:
             now, estimate.pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider, self._others
         )
         self._report = NavigationReport(goal.id, decision.state, decision.reason)
-        self._mux.command("navigation", decision.twist, now)
+        self._mux.sense(NavigationCommand(decision.twist), now)
 
 
 @dataclass

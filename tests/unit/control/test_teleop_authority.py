@@ -13,8 +13,7 @@ from flat_world import CORRIDOR, LASER, P3DX, TURTLEBOT, FlatWorld
 from hitchhike_ros.control.local_planner import Decision, LocalPlanner
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.teleop_authority import TeleopAuthority, TeleopAuthorityParameters
-from hitchhike_ros.control.velocity_mux import VelocityMux, VelocityMuxParameters
-from hitchhike_ros.core.datatypes import Pose2D, TeleopMode, Twist2D
+from hitchhike_ros.core.datatypes import Pose2D, Twist2D
 from hitchhike_ros.core.errors import TeleopError
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.experiments.scenarios.scripted_human import HumanParameters, ScriptedHuman
@@ -48,62 +47,6 @@ def test_a_hitchhiker_is_not_driven_by_hand(state: HitchhikerState) -> None:
 def test_a_robot_without_goal_and_ride_is_free() -> None:
     assert Status(0.0, "p3dx").teleop_mode == "free"
     assert Status(0.0, "p3dx", state="navigating", goal=GoalCommand("1", 5.0, 0.0, 0.0)).teleop_mode == "guided"
-
-
-@pytest.mark.parametrize(
-    ("mode", "twist", "active"),
-    [
-        ("free", AHEAD, "teleop"),
-        ("free", Twist2D(), "teleop"),
-        ("guided", AHEAD, "navigation"),
-        ("guided", Twist2D(), "navigation"),  # which stops gently when somebody rides
-        ("off", AHEAD, "navigation"),
-        ("off", Twist2D(), "teleop"),
-    ],
-)
-def test_the_base_hears_the_human_where_the_protocol_allows_it(mode: TeleopMode, twist: Twist2D, active: str) -> None:
-    mux = VelocityMux(VelocityMuxParameters(), P3DX)
-    mux.command("teleop", twist, 0.0)
-    mux.command("navigation", LEFT, 0.0)
-    mux.teleop_mode = mode
-    mux.step(0.0)
-    assert mux.active == active
-
-
-def test_a_command_of_before_a_ride_ends_with_the_freedom() -> None:
-    mux = VelocityMux(VelocityMuxParameters(), P3DX)
-    mux.step(0.0)
-    mux.command("teleop", AHEAD, 0.1)
-    assert mux.step(0.1).v > 0.0
-    mux.teleop_mode = "off"
-    before = mux.step(0.15).v
-    assert mux.active is None
-    assert mux.step(0.3).v <= before
-
-
-def test_a_key_that_is_still_held_at_the_goal_does_not_drive_on() -> None:
-    mux = VelocityMux(VelocityMuxParameters(), P3DX)
-    mux.teleop_mode = "guided"
-    mux.command("teleop", AHEAD, 0.0)
-    mux.teleop_mode = "free"  # the robot is at its goal, and the human has not seen it yet
-    for now in (0.1, 0.2):
-        mux.command("teleop", AHEAD, now)
-        mux.step(now)
-        assert mux.active is None
-    mux.command("teleop", AHEAD, 0.8)  # let go and pressed again
-    mux.step(0.8)
-    assert mux.active == "teleop"
-
-
-def test_a_stop_lets_go_too() -> None:
-    mux = VelocityMux(VelocityMuxParameters(), P3DX)
-    mux.teleop_mode = "guided"
-    mux.command("teleop", AHEAD, 0.0)
-    mux.teleop_mode = "free"
-    mux.command("teleop", Twist2D(), 0.1)
-    mux.command("teleop", AHEAD, 0.2)
-    mux.step(0.2)
-    assert mux.active == "teleop"
 
 
 # What the human wants.

@@ -9,7 +9,8 @@ Subscribed (in the robot's namespace unless absolute):
     visual_servoing/observations (std_msgs/String)
 Published:
     /hhike_msg/network (std_msgs/String), or ~network_out
-    hhike_msg/status (std_msgs/String, latched): which modules are on, where to drive, whom to follow
+    hhike_msg/status (std_msgs/String, latched, on change and at 1 Hz): which modules are on, where to
+        drive, whom to follow
     hhike_msg/new_obstacles (std_msgs/String): boxes that a driver handed over
     hhike_msg/award (std_msgs/String, latched): the points of the newest ride that this robot drove
     initialpose (geometry_msgs/PoseWithCovarianceStamped): the pose taken over from a driver
@@ -87,6 +88,8 @@ from hitchhike_ros.ros_io.timer import Timer
 
 # An estimate older than this is no longer the robot's pose (s).
 _ESTIMATE_AGE_S = 1.0
+# The status is repeated, since orders have an age (s).
+_STATUS_PERIOD_S = 1.0
 # What comes again and again can wait for the next step.
 _REPEATED = (Ack, Beacon, Driver)
 # Bad messages of one sender are logged once in so long (s).
@@ -276,7 +279,8 @@ class HitchhikeComm:
 
     def _publish_status(self, status: Status) -> None:
         last = self._published
-        if last is None or replace(last, time_stamp=status.time_stamp) != status:
+        repeat = last is None or not 0.0 <= status.time_stamp - last.time_stamp < _STATUS_PERIOD_S
+        if last is None or repeat or replace(last, time_stamp=status.time_stamp) != status:
             self._published = status
             self._status.publish(String(encode_status(status)))
         level, message = OK, status.state

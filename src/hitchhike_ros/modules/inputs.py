@@ -1,0 +1,105 @@
+"""Inputs of modules that have a meaning of their own beyond their data: one type a meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D, PoseEstimate, Twist2D
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImage:
+    """An image of the camera. It is converted only when a module looks at it.
+
+    ``gray()`` gives uint8 (H, W) and raises SensorDataError where the message is no usable image.
+    """
+
+    stamp: float
+    gray: Callable[[], npt.NDArray[np.uint8]]
+    frame_id: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """An image of the depth camera; ``depth()`` gives float32 (H, W) in m, NaN for none, or raises SensorDataError."""
+
+    stamp: float
+    depth: Callable[[], npt.NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class TeleopCommand:
+    """What a human wants the robot to do."""
+
+    twist: Twist2D
+
+
+@dataclass(frozen=True)
+class TeleopActive:
+    """Whether a human has the robot in hand; repeated while that is so."""
+
+    active: bool
+
+
+@dataclass(frozen=True)
+class NavigationCommand:
+    """What obstacle avoidance wants the base to do."""
+
+    twist: Twist2D
+
+
+@dataclass(frozen=True)
+class ServoingCommand:
+    """What visual servoing wants the base to do."""
+
+    twist: Twist2D
+
+
+@dataclass(frozen=True, eq=False)
+class InitialPose:
+    """Where localization starts from: an operator's estimate in ``map``, or the one taken over from a driver."""
+
+    estimate: PoseEstimate
+
+
+@dataclass(frozen=True)
+class HandedOverObstacles:
+    """Boxes in ``map`` that a driver handed over."""
+
+    obstacles: tuple[Obstacle, ...]
+
+
+@dataclass(frozen=True)
+class FoundObstacles:
+    """All boxes in ``map`` that the robot knows beyond the map."""
+
+    obstacles: tuple[Obstacle, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedPath:
+    """The path to the goal: points (N, 2) in m in ``map`` and the pose at its end; None: there is none."""
+
+    points: FloatArray
+    end: Pose2D | None
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """How planning for a goal fares: ``state`` is idle, waiting, planned or failed."""
+
+    goal_id: str
+    state: str
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class NetworkText:
+    """A JSON message as it came over the network, and the node that published it."""
+
+    text: str
+    sender: str = ""
