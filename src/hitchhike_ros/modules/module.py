@@ -108,6 +108,15 @@ class Fresh(Generic[T]):
         """Store ``value`` of time ``stamp`` in s."""
         self._value, self.stamp = value, stamp
 
+    @property
+    def newest(self) -> T | None:
+        """The newest value, however old."""
+        return self._value
+
+    def expires(self) -> float:
+        """When the value stops counting, in s; infinity without one."""
+        return math.inf if self._value is None else self.stamp + self._max_age_s
+
     def clear(self) -> None:
         """Forget the value, as when the module is switched on."""
         self._value, self.stamp = None, -math.inf
@@ -128,3 +137,35 @@ class Fresh(Generic[T]):
     def get(self, now: float) -> T | None:
         """As :meth:`at`; None where that raises."""
         return self._value if abs(now - self.stamp) <= self._max_age_s else None
+
+
+class Orders:
+    """The newest status, which says whether a module is on and what it is to do.
+
+    ``standing`` is an order for a module that works alone: it holds for ever, and nothing else is obeyed.
+    """
+
+    def __init__(self, standing: Status | None = None) -> None:
+        self._standing = standing
+        self._status: Fresh[Status] = Fresh("status", ORDER_MAX_AGE_S)
+
+    def put(self, order: Order, now: float) -> None:
+        """Store a status that arrived at ``now`` in s; goals are for hitchhike_comm."""
+        if isinstance(order, Status):
+            self._status.put(order, now)
+
+    def newest(self) -> Status | None:
+        """The newest status, however old: a module stays on or off when orders cease."""
+        return self._standing or self._status.newest
+
+    def at(self, now: float) -> Status:
+        """The status that counts at ``now`` in s.
+
+        Raises:
+            StaleInputError: none has come, or the newest is too old; the module stands.
+        """
+        return self._standing or self._status.at(now)
+
+    def expires(self) -> float:
+        """When the newest status stops counting, in s; infinity where that never happens or has nothing to end."""
+        return math.inf if self._standing is not None else self._status.expires()

@@ -65,7 +65,7 @@ class VelocityMux:
             "navigation": params.navigation_timeout_s,
         }
         self._commands: dict[Source, tuple[float, Twist2D]] = {}
-        self._status: Fresh[Status] = Fresh("status", ORDER_MAX_AGE_S)
+        self._orders: Fresh[Status] = Fresh("status", ORDER_MAX_AGE_S)
         self._output, self._stepped_at = Twist2D(), math.inf
         self._commanded = False  # since the last step
         self._let_go = True  # of the keys, since the robot was last guided
@@ -91,7 +91,7 @@ class VelocityMux:
     def order(self, order: Order, now: float) -> None:
         """The status says whether a human may drive the base."""
         if isinstance(order, Status):
-            self._status.put(order, now)
+            self._orders.put(order, now)
 
     def next_due(self, now: float) -> float:
         """At once on a command, and after a period in which none came."""
@@ -140,7 +140,7 @@ class VelocityMux:
             self._let_go = False
 
     def _teleop_mode(self, now: float) -> TeleopMode:
-        status = self._status.get(now)
+        status = self._orders.get(now)
         return "free" if status is None else status.teleop_mode
 
     def _driver(self, now: float) -> Source | None:
