@@ -23,8 +23,8 @@ from hitchhike_ros.experiments.scoring.ride_figures import (
     MAX_HANDOVER_DEG,
     MAX_HANDOVER_M,
     MAX_HANDOVER_SIGMA,
-    poses_at,
 )
+from hitchhike_ros.experiments.scoring.tracks import poses_at
 from hitchhike_ros.protocol.messages import Lock, Message, Request, decode
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import ModuleSwitches

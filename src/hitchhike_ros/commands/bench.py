@@ -22,7 +22,7 @@ import msgspec
 import rospkg
 
 from hitchhike_ros.core.errors import HitchhikeError
-from hitchhike_ros.experiments.bench.registry import NAMES, Options, load
+from hitchhike_ros.experiments.bench.registry import BENCHMARKS, Options, load
 from hitchhike_ros.experiments.report.ride_report import figure_table
 from hitchhike_ros.experiments.report.terminal import has_colours
 from hitchhike_ros.experiments.scoring.figures import Figure, all_hold
@@ -32,7 +32,7 @@ def main() -> None:
     """Entry point of ``rosrun hitchhike_ros bench``."""
     package = Path(rospkg.RosPack().get_path("hitchhike_ros"))
     parser = argparse.ArgumentParser("bench", usage=str(__doc__).removeprefix("usage: "), add_help=True)
-    parser.add_argument("names", nargs="+", choices=NAMES, metavar="NAME", help=", ".join(NAMES))
+    parser.add_argument("names", nargs="+", choices=BENCHMARKS, metavar="NAME", help=", ".join(BENCHMARKS))
     parser.add_argument("--json", type=Path)
     parser.add_argument("--output", type=Path, default=Path("runs/bench"))
     parser.add_argument("--data", type=Path, default=package.parent / "shared" / "data")
@@ -51,11 +51,13 @@ def main() -> None:
     figures: dict[str, list[Figure]] = {}
     for name in arguments.names:
         try:
-            figures[name] = list(load(name).run(options, show_progress))
+            findings = load(name).run(options, show_progress)
         except HitchhikeError as exc:
             sys.exit(f"bench {name}: {exc}")
         clear_progress()
-        print(f"{name}\n{figure_table(figures[name], has_colours(sys.stdout), 'peer')}\n", flush=True)
+        figures[name] = list(findings.figures)
+        tables = [*findings.tables, figure_table(figures[name], has_colours(sys.stdout), "peer")]
+        print(f"{name}\n" + "\n\n".join(tables) + "\n", flush=True)
     if arguments.json is not None:
         versions = {"python": platform.python_version(), "machine": platform.machine()}
         report = {"versions": versions, "seed": options.seed, "quick": options.quick, "figures": figures}

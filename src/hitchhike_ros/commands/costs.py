@@ -25,7 +25,7 @@ from hitchhike_ros.experiments.report.terminal import has_colours
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
 from hitchhike_ros.experiments.scoring.cost_ledger import compare, cost_figures, modules_off, ride_steps
 from hitchhike_ros.experiments.scoring.figures import all_hold
-from hitchhike_ros.experiments.scoring.ride_figures import find_ride
+from hitchhike_ros.experiments.scoring.rides import find_ride
 
 
 def main() -> None:

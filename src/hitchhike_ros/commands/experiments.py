@@ -10,7 +10,6 @@ What needs third-party data (../shared/data beside the package) is left out wher
   --json FILE          write the figures, with versions and seeds, as JSON
   --quick              only the rides of the quick set, among those that are named
   --port N             of the ROS master (any free one)
-  --scheduler ADDRESS  of a Dask cluster for the grid; by default this machine's cores
   --check              the exit status also says whether every bound holds
 
 Exit status: 0 when everything ended as it should, 1 when not, 2 for wrong usage, 130 after Ctrl-C; what was driven
@@ -38,14 +37,15 @@ from hitchhike_ros.commands.bench import clear_progress, show_progress
 from hitchhike_ros.commands.launches import interrupt
 from hitchhike_ros.commands.scenario_runs import RECORD, drive
 from hitchhike_ros.core.errors import HitchhikeError
-from hitchhike_ros.experiments.bench.experiment import NAMES, Options, load
+from hitchhike_ros.experiments.bench.registry import EXPERIMENTS, Options, load
 from hitchhike_ros.experiments.report.cost_tables import ledger_texts
 from hitchhike_ros.experiments.report.html_report import write_report
 from hitchhike_ros.experiments.report.ride_report import figure_table, summary_table
 from hitchhike_ros.experiments.report.terminal import has_colours
 from hitchhike_ros.experiments.scenarios.ride_record import load_record
-from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario, ScenarioResult, in_order, load_scenarios
+from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario, in_order, load_scenarios
 from hitchhike_ros.experiments.scoring.figures import Figure, Summary, all_hold
+from hitchhike_ros.experiments.scoring.results import ScenarioResult
 
 _ALL = "all"
 
@@ -81,12 +81,12 @@ def _run() -> int:
     scenarios = load_scenarios(package / "config" / "experiments")
     arguments = _arguments(package, scenarios)
     report: Path = arguments.report.resolve()
-    names = [*NAMES, *scenarios] if _ALL in arguments.names else list(dict.fromkeys(arguments.names))
-    done = [_grid(name, arguments, package, report) for name in names if name in NAMES and not arguments.quick]
+    names = [*EXPERIMENTS, *scenarios] if _ALL in arguments.names else list(dict.fromkeys(arguments.names))
+    done = [_grid(name, arguments, package, report) for name in names if name in EXPERIMENTS and not arguments.quick]
     rides = in_order(scenarios[name] for name in names if name in scenarios)
     results: list[ScenarioResult] = []
     try:
-        _drive_all(rides, results, arguments, report, package.parent / "shared" / "data")
+        _drive_all(rides, results, arguments, report, _data(package))
     finally:
         if results:
             _leave(report, results, done)
@@ -123,7 +123,7 @@ def _drive_all(
 
 
 def _grid(name: str, arguments: argparse.Namespace, package: Path, report: Path) -> _Done:
-    options = Options(package, report, arguments.runs, arguments.seed, arguments.scheduler)
+    options = Options(package, _data(package), report, arguments.seed, seeds=arguments.runs)
     findings = load(name).run(options, show_progress)
     clear_progress()
     figures = list(findings.figures)
@@ -132,6 +132,11 @@ def _grid(name: str, arguments: argparse.Namespace, package: Path, report: Path)
     plain = [*findings.tables, figure_table(figures, False)]
     (report / f"{name}.txt").write_text("\n\n".join(plain) + "\n", encoding="utf-8")
     return _Done(name, figures, True, plain)
+
+
+def _data(package: Path) -> Path:
+    """Where third-party data is."""
+    return package.parent / "shared" / "data"
 
 
 def _leave(report: Path, results: Sequence[ScenarioResult], others: Sequence[_Done]) -> None:
@@ -166,7 +171,7 @@ def _write_json(arguments: argparse.Namespace, done: Sequence[_Done]) -> None:
 
 def _arguments(package: Path, scenarios: dict[str, RideScenario]) -> argparse.Namespace:
     """The command line; whatever is wrong with it is said before anything starts."""
-    known = {name: what for name, (_, what) in NAMES.items()}
+    known = dict(EXPERIMENTS)
     known |= {name: f"{s.title} ({s.source})" for name, s in scenarios.items()} | {_ALL: "all of them"}
     width = max(map(len, known))
     names = "\n".join(f"  {name:<{width}}  {what}" for name, what in known.items())
@@ -176,7 +181,6 @@ def _arguments(package: Path, scenarios: dict[str, RideScenario]) -> argparse.Na
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--report", "--output", type=Path, default=Path("runs/experiments"))
-    parser.add_argument("--scheduler")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--port", type=int)
     parser.add_argument("--quick", action="store_true")

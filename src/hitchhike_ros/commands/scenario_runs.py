@@ -13,12 +13,13 @@ from hitchhike_ros.commands.launches import RideProcesses
 from hitchhike_ros.commands.octomaps import newest_octomaps
 from hitchhike_ros.core.errors import HitchhikeError, InputFileError
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
-from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario, RunResult, ScenarioResult
+from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario
 from hitchhike_ros.experiments.scoring.cost_ledger import cost_figures
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide
 from hitchhike_ros.experiments.scoring.operator_counts import NAME as COUNTS
 from hitchhike_ros.experiments.scoring.operator_counts import count_figures, load_counts, share_figures
+from hitchhike_ros.experiments.scoring.results import RunResult, ScenarioResult
 from hitchhike_ros.experiments.scoring.ride_scores import score
 from hitchhike_ros.simulation.world_file import WorldFile, load_world
 

@@ -10,8 +10,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hitchhike_ros.experiments.bench.registry import Options, Progress
+from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.faults.fleets import SEVERE, FaultResult, fault_run
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import run_all, write_results
 from hitchhike_ros.experiments.scoring.figures import Figure
 
@@ -22,7 +23,7 @@ _SEVERE_SHARE = 0.1
 _TOLD, _TRACE = 5, 40
 
 
-def run(options: Options, progress: Progress) -> Sequence[Figure]:
+def run(options: Options, progress: Progress) -> Findings:
     """Every seed's result is a line of ``faults.json``."""
     seeds = options.seeds or (_QUICK if options.quick else _SEEDS)
     first = options.seed
@@ -37,7 +38,7 @@ def run(options: Options, progress: Progress) -> Sequence[Figure]:
     failed = [result for of_it in results.values() for result in of_it if result.failure]
     for result in failed[:_TOLD]:
         _tell(result)
-    return [figure for name, of_it in results.items() for figure in fault_figures(name, of_it)]
+    return Findings([figure for name, of_it in results.items() for figure in fault_figures(name, of_it)])
 
 
 def fault_figures(name: str, results: Sequence[FaultResult]) -> list[Figure]:

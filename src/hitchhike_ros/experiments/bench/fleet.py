@@ -16,9 +16,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Picture
 
-from hitchhike_ros.experiments.bench.registry import Options, Progress
+from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.report.terminal import Cell, table
 from hitchhike_ros.experiments.scenarios.fleet_runs import FleetRun, FleetTrip, run_fleet
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import write_results
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.simulation.grid.drawing import Recorder, animate, draw_state
@@ -34,7 +35,7 @@ _LENGTHS_M = ((0.0, 70.0), (70.0, 100.0), (100.0, np.inf))
 _PICTURE_ROBOTS, _PICTURE_S, _GIF_S, _GIF_PERIOD_S = 100, 400.0, 120.0, 2.0
 
 
-def run(options: Options, progress: Progress) -> Sequence[Figure]:
+def run(options: Options, progress: Progress) -> Findings:
     """All figures; tables, plots and pictures are ``fleet*`` in the output folder.
 
     Raises:
@@ -51,11 +52,12 @@ def run(options: Options, progress: Progress) -> Sequence[Figure]:
 
         runs.append(run_fleet(scenario.sized(size), told))
     write_results(options.output / "fleet_trips.json", {str(r.robots): r.trips for r in runs})
-    (options.output / "fleet.txt").write_text(_tables(runs) + "\n", encoding="utf-8")
+    tables = _tables(runs)
+    (options.output / "fleet.txt").write_text("\n\n".join(tables) + "\n", encoding="utf-8")
     _draw(options.output / "fleet.png", runs)
     if not options.quick:
         _show(options.output, scenario.sized(_PICTURE_ROBOTS), progress)
-    return _figures(runs)
+    return Findings(_figures(runs), tables)
 
 
 def _figures(runs: Sequence[FleetRun]) -> list[Figure]:
@@ -97,7 +99,7 @@ def modules_on(trips: Sequence[FleetTrip]) -> float:
     return sum(trip.took_s - trip.coupled_s for trip in trips) / alone if alone else 1.0
 
 
-def _tables(runs: Sequence[FleetRun]) -> str:
+def _tables(runs: Sequence[FleetRun]) -> list[str]:
     costs: list[list[Cell]] = [
         [
             f"{r.robots} robots",
@@ -138,7 +140,7 @@ def _tables(runs: Sequence[FleetRun]) -> str:
                 ]
             )
     columns = ["trips", "with a ride", "ridden", "delay", "riders' delay", "modules on", ""]
-    return "\n\n".join([table("Fleets", head, costs, False), table("When riding pays: trips of", columns, pays, False)])
+    return [table("Fleets", head, costs, False), table("When riding pays: trips of", columns, pays, False)]
 
 
 def _draw(path: Path, runs: Sequence[FleetRun]) -> None:

@@ -8,18 +8,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hitchhike_ros.experiments.bench.registry import Options, Progress
-from hitchhike_ros.experiments.scenarios.couplings import MARKER, WALL, CouplingResult, Place, couple
-from hitchhike_ros.experiments.scenarios.following_rides import (
-    CORNERS,
-    FAST,
-    S_BEND,
-    STRAIGHT,
-    Course,
-    RideResult,
-    ride,
-)
+from hitchhike_ros.experiments.bench.coupling_scores import CouplingResult, couple
+from hitchhike_ros.experiments.bench.following_scores import RideResult, ride
+from hitchhike_ros.experiments.bench.registry import Findings, Options
+from hitchhike_ros.experiments.scenarios.couplings import MARKER, WALL, Place
+from hitchhike_ros.experiments.scenarios.following_rides import CORNERS, FAST, S_BEND, STRAIGHT, Course
 from hitchhike_ros.experiments.scenarios.lost_drivers import RIDES_ON_S, LostResult, lose
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import run_all, write_results
 from hitchhike_ros.experiments.scoring.figures import Figure
 
@@ -33,7 +28,7 @@ _PAPER_COUPLE_S, _PAPER_DECOUPLE_S = {MARKER: 15.0, WALL: 33.0}, {MARKER: 17.67,
 _STRAIGHT_GAP_M, _STRAIGHT_LATERAL_M, _CORNER_LATERAL_M = 0.03, 0.04, 0.10
 
 
-def run(options: Options, progress: Progress) -> list[Figure]:
+def run(options: Options, progress: Progress) -> Findings:
     """Ride; every figure is the worst of its rides unless it says otherwise. Each run is in ``following.json``."""
 
     written: dict[str, Sequence[Any]] = {}
@@ -53,7 +48,7 @@ def run(options: Options, progress: Progress) -> list[Figure]:
         for course in (STRAIGHT, FAST, CORNERS, S_BEND)
     )
     lost = runs("drivers lost", partial(lose, options.package), _LOST_QUICK, _LOST_SEEDS)
-    return [
+    figures = [
         *(figure for place, results in coupled.items() for figure in coupling_figures(place, results)),
         *ride_figures(STRAIGHT, straight),
         Figure(f"{STRAIGHT.name}: gap error, RMS", _worst(r.gap_rms_m for r in straight), "m", _STRAIGHT_GAP_M),
@@ -68,6 +63,7 @@ def run(options: Options, progress: Progress) -> list[Figure]:
         Figure(f"{S_BEND.name}: gap error, RMS", _worst(r.gap_rms_m for r in s_bend), "m"),
         *lost_figures(lost),
     ]
+    return Findings(figures)
 
 
 def coupling_figures(place: Place, results: tuple[CouplingResult, ...]) -> list[Figure]:

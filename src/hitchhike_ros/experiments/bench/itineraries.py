@@ -9,7 +9,6 @@ do; where no two nodes are the same and one may board anywhere, the figures say 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,8 @@ from scipy.spatial.distance import cdist
 
 from hitchhike_ros.core.datatypes import FloatArray
 from hitchhike_ros.experiments.bench.itinerary_reference import cheapest
-from hitchhike_ros.experiments.bench.registry import Options, Progress
+from hitchhike_ros.experiments.bench.registry import Findings, Options
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, usable_drivers
 from hitchhike_ros.planning.itinerary import (
@@ -43,10 +43,10 @@ _BOARDING = (
 )
 
 
-def run(options: Options, progress: Progress) -> Sequence[Figure]:
+def run(options: Options, progress: Progress) -> Findings:
     """All figures of the benchmark; the plot of time against drivers is ``itineraries_growth.png``."""
     fleets, buildings = (50, 5) if options.quick else (1000, 50)
-    return [*_optimal(options.seed, fleets, progress), *_growth(options, buildings, progress)]
+    return Findings([*_optimal(options.seed, fleets, progress), *_growth(options, buildings, progress)])
 
 
 def small_fleet(seed: int) -> tuple[Request, tuple[AnnouncedDriver, ...], ItineraryParameters]:

@@ -24,8 +24,9 @@ from hitchhike_ros.core.datatypes import FloatArray, Pose2D, PoseEstimate
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.core.parameters import load_parameters
 from hitchhike_ros.experiments.bench.mrclam import evaluate, read_run
-from hitchhike_ros.experiments.bench.registry import Options, Progress
+from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.scenarios.drives import Drive, Moment, record
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.localization.ekf import mahalanobis_squared, pose_error
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
@@ -103,7 +104,7 @@ def back_after(errors: FloatArray, period_s: float = 0.1) -> float:
     return float(np.argmax(held) * period_s) if held.any() else math.inf
 
 
-def run(options: Options, progress: Progress) -> Sequence[Figure]:
+def run(options: Options, progress: Progress) -> Findings:
     """All figures of localization."""
     figures = _mrclam(options, progress)
     worlds = {path.name.removesuffix(".world.yaml"): load_world(path) for path in sorted(_worlds(options.package))}
@@ -143,7 +144,7 @@ def run(options: Options, progress: Progress) -> Sequence[Figure]:
         Figure("kidnapped by 5 m, particle: back to 0.3 m within 20 s", back, "", 0.9 * len(returns), "higher")
     )
     figures.append(Figure("kidnapped by 5 m, particle: median time to come back", float(np.median(returns)), "s"))
-    return figures
+    return Findings(figures)
 
 
 def _worlds(package: Path) -> Iterator[Path]:

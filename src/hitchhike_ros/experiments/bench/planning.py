@@ -22,7 +22,8 @@ from matplotlib.figure import Figure as Picture
 
 from hitchhike_ros.core.datatypes import FloatArray
 from hitchhike_ros.experiments.bench.moving_ai import Scenario, load_moving_ai_map, load_scenarios
-from hitchhike_ros.experiments.bench.registry import Options, Progress
+from hitchhike_ros.experiments.bench.registry import Findings, Options
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.mapping.grid import FREE, CellArray
 from hitchhike_ros.planning.astar import Cell, CostArray, search
@@ -38,7 +39,7 @@ _CHANGED, _NEAR = 20, 10
 _Problem = tuple[CostArray, Scenario]
 
 
-def run(options: Options, progress: Progress) -> Sequence[Figure]:
+def run(options: Options, progress: Progress) -> Findings:
     """All figures of the benchmark; the plot of growth is ``planning_growth.png`` in the output folder."""
     problems = _problems(options.data / "movingai")
     figures = []
@@ -50,7 +51,7 @@ def run(options: Options, progress: Progress) -> Sequence[Figure]:
         print(f"left out: no Moving AI maps in {options.data / 'movingai'}", file=sys.stderr)
     figures += _growth(options, progress)
     figures += _repair(options, progress)
-    return figures
+    return Findings(figures)
 
 
 def _problems(folder: Path) -> list[_Problem]:

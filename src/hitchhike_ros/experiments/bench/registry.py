@@ -1,34 +1,40 @@
-"""What every benchmark takes and gives; one module ``<name>`` of this folder each, found by its name."""
+"""What every benchmark takes and gives; each is the module of this folder that has its name."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
 
-# Says what is being done, and how far: step, done, of so many.
-Progress = Callable[[str, int, int], None]
-
-NAMES: tuple[str, ...] = (
-    "planning",
-    "localization",
-    "mapping",
-    "avoidance",
-    "tracking",
-    "following",
-    "itineraries",
-    "faults",
-    "fleet",
-)
+BENCHMARKS: dict[str, str] = {
+    "planning": "searches on Moving AI's maps beside peers, growth with the map, repairs",
+    "localization": "a real robot's log, simulated routes, kidnapping",
+    "mapping": "the boxes that a drive down a corridor puts on the map",
+    "avoidance": "drives down a corridor past boxes and people",
+    "tracking": "markers in photographs and in rendered pictures, beside peers",
+    "following": "coupling, riding along courses, drivers lost on the way",
+    "itineraries": "chains of rides: optimal, and how time grows with the fleet",
+    "faults": "fleets on bad networks and with robots that fail",
+    "fleet": "up to 1000 robots in one grid world, and when riding pays",
+}
+"""What ``bench`` measures, by name."""
+EXPERIMENTS: dict[str, str] = {
+    "grid": "P18 §8.1 in the grid simulator: waits, velocity tuning and the best profile",
+}
+"""The papers' experiments that no robot is driven for, by name."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line says. ``package`` and ``data`` are folders; data that is missing is left out and said."""
+    """What the command line says. ``package`` and ``data`` are folders; data that is missing is left out and said.
+
+    ``seeds`` is how many a benchmark takes that has seeds to choose from; None: as many as it thinks right.
+    """
 
     package: Path
     data: Path
@@ -36,16 +42,23 @@ class Options:
     seed: int = 0
     quick: bool = False
     seeds: int | None = None
-    """How many, where a benchmark has seeds; None: as many as it thinks right."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Figures, and the tables that stand beside them."""
+
+    figures: Sequence[Figure]
+    tables: Sequence[str] = ()
 
 
 class Benchmark(Protocol):
     """A module with this function."""
 
-    def run(self, options: Options, progress: Progress) -> Sequence[Figure]:
+    def run(self, options: Options, progress: Progress) -> Findings:
         """Measure; pictures go to ``options.output``."""
 
 
 def load(name: str) -> Benchmark:
-    """The module of one of ``NAMES``."""
+    """The module of one of ``BENCHMARKS`` or ``EXPERIMENTS``."""
     return importlib.import_module(f"hitchhike_ros.experiments.bench.{name}")  # type: ignore[return-value]

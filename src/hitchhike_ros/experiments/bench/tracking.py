@@ -25,8 +25,9 @@ import numpy.typing as npt
 
 from hitchhike_ros.core.datatypes import CameraInfo, FloatArray
 from hitchhike_ros.core.geometry import pose_from_matrix, wrap_angle
-from hitchhike_ros.experiments.bench.registry import Options, Progress
+from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.bench.tag_images import LIGHTS, Conditions, marker_pose, tag_image
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.servoing.marker_detector import (
     T_TAG_MARKER,
@@ -73,13 +74,13 @@ class Row:
     nees: float = math.nan
 
 
-def run(options: Options, progress: Progress) -> Sequence[Figure]:
+def run(options: Options, progress: Progress) -> Findings:
     """All figures of the benchmark; a sheet of annotated pictures is ``tracking.png`` in the output folder."""
     figures = _photographs(options)
     figures += _grid(options, progress)
     figures += _sequences(options, progress)
     figures += _cost(options, progress)
-    return figures
+    return Findings(figures)
 
 
 # Photographs.

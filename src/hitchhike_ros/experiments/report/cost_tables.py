@@ -15,7 +15,7 @@ from hitchhike_ros.experiments.scoring.cost_ledger import (
     cost_figures,
     ride_steps,
 )
-from hitchhike_ros.experiments.scoring.ride_figures import find_ride
+from hitchhike_ros.experiments.scoring.rides import find_ride
 
 
 def ledger_texts(ridden: RideRecord, alone: RideRecord, colours: bool) -> list[str]:

@@ -31,10 +31,13 @@ from hitchhike_ros.experiments.report.report_plots import (
 from hitchhike_ros.experiments.report.ride_frames import Frame, find_frames
 from hitchhike_ros.experiments.report.ride_report import bound, label, number
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
-from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario, RunResult, ScenarioResult
+from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario
+from hitchhike_ros.experiments.scoring.boxes import match_boxes
 from hitchhike_ros.experiments.scoring.figures import Summary
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, network_rides
-from hitchhike_ros.experiments.scoring.ride_figures import MAX_BOX_ERROR_M, match_boxes, module_changes
+from hitchhike_ros.experiments.scoring.results import RunResult, ScenarioResult
+from hitchhike_ros.experiments.scoring.ride_figures import MAX_BOX_ERROR_M
+from hitchhike_ros.experiments.scoring.rides import module_changes
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.mapping.sites import Sites

@@ -17,7 +17,7 @@ from hitchhike_ros.core.datatypes import FloatArray, Obstacle
 from hitchhike_ros.experiments.report.report_plots import TimeAxis, state_text
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide
-from hitchhike_ros.experiments.scoring.ride_figures import poses_at
+from hitchhike_ros.experiments.scoring.tracks import poses_at
 from hitchhike_ros.mapping.grid import FREE, OCCUPIED, OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 

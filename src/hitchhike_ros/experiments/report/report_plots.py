@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray
-from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord, TimedPose
+from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide
-from hitchhike_ros.experiments.scoring.ride_figures import distances_from_trail, gap_errors, poses_at
+from hitchhike_ros.experiments.scoring.tracks import distances_from_trail, gap_errors, poses_at, trail_of
 from hitchhike_ros.protocol.status import Status
 
 # What a state is about, by which bars are coloured. Others, those of a ride that hangs, are "trouble".
@@ -31,7 +31,6 @@ _KIND_OF = {state: kind for kind, states in KINDS.items() for state in states}
 
 _TICKS = 10  # at most about so many on the axis of time
 _CURVE_POINTS = 400  # of a curve at most: more than a screen shows
-_TRAIL_STEP_M = 0.05
 _HEIGHT = 1000.0  # of the square that a curve's path is drawn in
 
 
@@ -201,20 +200,11 @@ def _lateral(label: str, index: int, ahead: RobotRecord, robot: RobotRecord, win
     stamps = np.linspace(*window, _CURVE_POINTS // 2)
     if not robot.truth or not ahead.truth:
         return Series(label, index, np.empty(0), np.empty(0))
-    trail = _trail([p for p in ahead.truth if window[0] <= p.stamp <= window[1]])
+    trail = trail_of(ahead.truth, window)
     points = poses_at(robot.truth, stamps)[:, :2]
     # A point before the trail's start has no distance, and so no value.
     distances = [distances_from_trail(point[None], trail) for point in points]
     return Series(label, index, stamps, np.array([d[0] if len(d) else np.nan for d in distances]))
-
-
-def _trail(poses: Sequence[TimedPose]) -> FloatArray:
-    """(N, 2), a step apart, so that a robot that stands adds nothing."""
-    kept: list[tuple[float, float]] = []
-    for p in poses:
-        if not kept or math.hypot(p.x - kept[-1][0], p.y - kept[-1][1]) >= _TRAIL_STEP_M:
-            kept.append((p.x, p.y))
-    return np.array(kept).reshape(-1, 2)
 
 
 def _plot(title: str, unit: str, series: Sequence[Series], axis: TimeAxis) -> Plot | None:

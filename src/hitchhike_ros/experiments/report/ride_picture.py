@@ -14,7 +14,8 @@ from matplotlib.transforms import Affine2D
 
 from hitchhike_ros.core.datatypes import HitchhikingPoint, Obstacle
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
-from hitchhike_ros.experiments.scoring.ride_figures import Ride, poses_at
+from hitchhike_ros.experiments.scoring.rides import Ride
+from hitchhike_ros.experiments.scoring.tracks import poses_at
 from hitchhike_ros.mapping.grid import FREE, OCCUPIED, OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 

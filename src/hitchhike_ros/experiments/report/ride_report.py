@@ -8,14 +8,12 @@ from dataclasses import asdict, dataclass
 from hitchhike_ros.core.datatypes import Obstacle
 from hitchhike_ros.experiments.report.terminal import Cell, Segment, Text, bar, fit, table
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
+from hitchhike_ros.experiments.scoring.boxes import BoxMatch
 from hitchhike_ros.experiments.scoring.figures import Figure, Summary
-from hitchhike_ros.experiments.scoring.ride_figures import (
-    MAX_BOX_ERROR_M,
-    BoxMatch,
-    NodeCost,
-    Ride,
-    gap_now,
-)
+from hitchhike_ros.experiments.scoring.node_costs import NodeCost
+from hitchhike_ros.experiments.scoring.ride_figures import MAX_BOX_ERROR_M
+from hitchhike_ros.experiments.scoring.rides import Ride
+from hitchhike_ros.experiments.scoring.tracks import gap_now
 from hitchhike_ros.protocol.status import ModuleSwitches
 
 _STEPS = {

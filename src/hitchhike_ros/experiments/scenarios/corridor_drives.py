@@ -15,8 +15,8 @@ import numpy as np
 
 from hitchhike_ros.core.datatypes import Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.geometry import compose, distance, wrap_angle
-from hitchhike_ros.experiments.bench.registry import Options, Progress
-from hitchhike_ros.experiments.scenarios.runs import run_all, write_results
+from hitchhike_ros.experiments.scenarios.progress import Progress
+from hitchhike_ros.experiments.scenarios.runs import run_all
 from hitchhike_ros.simulation.composed import FRAME_RATE_HZ, ComposedRide
 from hitchhike_ros.simulation.people import RADIUS_M, Person
 from hitchhike_ros.simulation.physics.world import World, WorldParameters
@@ -27,7 +27,6 @@ _START, _GOAL = Pose2D(6.0, 5.72, 0.0), Pose2D(20.0, 5.72, 0.0)
 _SOUTH, _NORTH = 4.60, 6.84  # faces of the corridor's walls, y in m
 _MIDDLE = (_SOUTH + _NORTH) / 2
 _LIMIT_S = 150.0
-_DRIVES, _QUICK = 100, 4
 _START_SIGMA = np.array([0.05, 0.05, 0.03])  # of the start pose that an operator gives: x, y in m, theta in rad
 # A box of the robot's map is a real one when they are no farther apart than this; else it is a phantom.
 _MATCH_M = 0.15
@@ -156,16 +155,7 @@ def compare(found: Sequence[Obstacle], true: Sequence[Obstacle]) -> tuple[int, t
     return len(matched), tuple(phantoms), place, size
 
 
-def corridor_drives(options: Options, progress: Progress) -> tuple[DriveResult, ...]:
-    """The drives of a benchmark: 100, or 4 when quick; done once in a process, each written to ``drives.json``."""
-    drives = _drives(options.package, options.seed, _QUICK if options.quick else _DRIVES, progress)
-    write_results(options.output / "drives.json", {"drives along the corridor": drives})
-    return drives
-
-
 @cache
-def _drives(package: Path, first_seed: int, count: int, progress: Progress) -> tuple[DriveResult, ...]:
-    """Drives on all cores, in the order of their seeds; each result depends on its seed alone."""
-    return run_all(
-        "drives along the corridor", partial(drive, package), range(first_seed, first_seed + count), progress
-    )
+def corridor_drives(package: Path, seeds: range, progress: Progress) -> tuple[DriveResult, ...]:
+    """Drives on all cores, in the order of their seeds; the same ones are driven once in a process."""
+    return run_all("drives along the corridor", partial(drive, package), seeds, progress)

@@ -12,14 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D, PoseEstimate
-from hitchhike_ros.core.geometry import compose, path_length
-from hitchhike_ros.experiments.scenarios.composed_record import ComposedRecorder
-from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
-from hitchhike_ros.experiments.scoring.ride_figures import distances_from_trail, find_ride, gap_errors
+from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D
+from hitchhike_ros.core.geometry import compose
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.simulation.composed import Changes, ComposedRide
-from hitchhike_ros.simulation.physics.world import World
+from hitchhike_ros.simulation.composed import Changes
 from hitchhike_ros.simulation.world_file import Box, RobotEntry, WorldFile, load_world
 
 DRIVER, RIDER = "driver", "rider"
@@ -65,25 +61,6 @@ CORNERS = Course(
 S_BEND = Course("an S between boxes", "s_bend", Pose2D(17.2, 27.14), Pose2D(27.0, 27.14))
 
 
-@dataclass(frozen=True)
-class RideResult:
-    """One ride, by ground truth, from coupling to the driver's stop at the end."""
-
-    seed: int
-    end: str
-    ridden_m: float
-    gap_rms_m: float | None
-    lateral_rms_m: float | None
-    lateral_max_m: float | None
-    lost: int
-    contacts: tuple[str, ...]
-
-    @property
-    def completed(self) -> bool:
-        """Whether the pair rode to the end and the pose was handed over."""
-        return self.end == "" and self.gap_rms_m is not None
-
-
 def build(course: Course, package: Path, seed: int) -> WorldFile:
     """The world file of a course with the pair of a seed."""
     base = load_world(package / "maps" / f"{course.world}.world.yaml")
@@ -111,50 +88,3 @@ def changes_of(course: Course) -> dict[str, Changes]:
         sections = changes[robot]
         changes[robot] = {name: {**sections.get(name, {}), **more.get(name, {})} for name in {*sections, *more}}
     return changes
-
-
-def ride(package: Path, course: Course, seed: int) -> RideResult:
-    """One ride along a course, until it ends."""
-    with World(build(course, package, seed), seed, package=package) as world:
-        composed = ComposedRide(world, package, changes=changes_of(course))
-        recorder = ComposedRecorder(composed, seed)
-        for robot in composed.robots.values():
-            robot.mapper.add(course.doors)
-        composed.start({name: PoseEstimate(0.0, entry.start, SIGMA) for name, entry in world.file.robots.items()})
-        rode = False
-        for _ in recorder.run(course.limit_s):
-            rider = composed.robots[RIDER].status
-            rode = rode or rider.state == "riding"
-            if rode and rider.role != "hitchhiker":
-                break
-        return score(recorder.record, seed, composed.robots[RIDER].status.reason)
-
-
-def score(record: RideRecord, seed: int, end: str) -> RideResult:
-    """Errors from coupling to decoupling; a ride that does not come so far has none."""
-    found = find_ride(record)
-    contacts = tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in record.contacts)
-    lost = sum(status.state == "seeking" for status in record.robots[RIDER].statuses)
-    if found is None or found.riding_at is None or found.decoupling_at is None:
-        return RideResult(seed, end or "no ride", 0.0, None, None, None, lost, contacts)
-    window = (found.riding_at, found.decoupling_at)
-    gap = gap_errors(record.robots[DRIVER], record.robots[RIDER], window)
-    tracks = [
-        np.array([(t.x, t.y) for t in record.robots[name].truth if window[0] <= t.stamp <= window[1]])
-        for name in (RIDER, DRIVER)
-    ]
-    lateral = distances_from_trail(tracks[0], _moving(tracks[1]))
-    rms = float(np.sqrt(np.mean(np.square(lateral))))
-    driven = _moving(tracks[1])
-    return RideResult(
-        seed, end, path_length(driven), float(np.sqrt(np.mean(gap**2))), rms, float(lateral.max()), lost, contacts
-    )
-
-
-def _moving(track: np.ndarray) -> np.ndarray:
-    """Of places (N, 2) those that are a step from the one kept before."""
-    kept = [track[0]]
-    for place in track:
-        if np.hypot(*(place - kept[-1])) >= 0.05:
-            kept.append(place)
-    return np.array(kept)

@@ -13,8 +13,7 @@ import yaml
 from hitchhike_ros.core.datatypes import NonNegative, Positive
 from hitchhike_ros.core.errors import WorldFileError
 from hitchhike_ros.core.parameters import convert, read_yaml
-from hitchhike_ros.experiments.scoring.figures import Figure, Summary, summarize
-from hitchhike_ros.experiments.scoring.ride_figures import PaperTimes
+from hitchhike_ros.experiments.scenarios.paper import PaperTimes
 
 SUFFIX = ".yaml"
 
@@ -75,38 +74,6 @@ class RideScenario:
         path = folder / f"{self.name}.world.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         return path
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """One run: the folder of what it left, how it ended (``trouble`` empty: as it should), and its figures."""
-
-    seed: int
-    folder: str
-    trouble: str
-    figures: tuple[Figure, ...]
-    sim_s: float
-    wall_s: float
-
-    @property
-    def ok(self) -> bool:
-        return not self.trouble
-
-
-@dataclass(frozen=True)
-class ScenarioResult:
-    """All runs of a scenario."""
-
-    scenario: RideScenario
-    runs: tuple[RunResult, ...]
-
-    @property
-    def figures(self) -> list[Summary]:
-        return summarize([run.figures for run in self.runs])
-
-    @property
-    def ok(self) -> bool:
-        return bool(self.runs) and all(run.ok for run in self.runs)
 
 
 def load_scenario(path: Path) -> RideScenario:

@@ -11,21 +11,27 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hitchhike_ros.experiments.bench.registry import Progress
+from hitchhike_ros.experiments.scenarios.progress import Progress
 
 J = TypeVar("J")
 R = TypeVar("R")
 
 
 def run_all(what: str, run: Callable[[J], R], jobs: Sequence[J], progress: Progress) -> tuple[R, ...]:
-    """``run`` of every job, in the order of the jobs. ``run`` is a function of a module, or a partial of one."""
+    """``run`` of every job, in the order of the jobs. ``run`` is a function of a module, or a partial of one.
+
+    What a job raises is raised here, and jobs that have not begun by then are left out.
+    """
     results: dict[int, R] = {}
     # Spawned: a fork takes along the locks of its parent's threads, OpenCV's and BLAS's, and not the threads.
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, max(len(jobs), 1)), get_context("spawn")) as pool:
+    pool = ProcessPoolExecutor(min(os.cpu_count() or 1, max(len(jobs), 1)), get_context("spawn"))
+    try:
         running = {pool.submit(run, job): i for i, job in enumerate(jobs)}
         for done in as_completed(running):
             results[running[done]] = done.result()
             progress(what, len(results), len(jobs))
+    finally:
+        pool.shutdown(cancel_futures=True)
     return tuple(results[i] for i in range(len(jobs)))
 
 

@@ -25,7 +25,8 @@ from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.experiments.scenarios.ride_record import CpuSample, RideRecord, RobotRecord, TrafficSample
 from hitchhike_ros.experiments.scoring.figures import Figure
-from hitchhike_ros.experiments.scoring.ride_figures import Ride, find_ride, metres_driven, poses_at
+from hitchhike_ros.experiments.scoring.rides import Ride, find_ride
+from hitchhike_ros.experiments.scoring.tracks import metres_driven, poses_at
 from hitchhike_ros.protocol.status import ModuleSwitches
 
 # The most that the hitchhiker's computation per metre may be, by driving alone.

@@ -12,7 +12,7 @@ import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
-from hitchhike_ros.experiments.scoring.ride_figures import gap_errors, handover_error, metres_driven
+from hitchhike_ros.experiments.scoring.tracks import gap_errors, handover_error, metres_driven
 from hitchhike_ros.protocol.status import Status
 
 # States of a hitchhiker from the moment that it is coupled until it is on its own again.

@@ -20,22 +20,21 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.experiments.scenarios.paper import PaperTimes
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
 from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedDenial, ExpectedRide, RideScenario
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, network_rides
+from hitchhike_ros.experiments.scoring.node_costs import real_time_factor
 from hitchhike_ros.experiments.scoring.ride_figures import (
     MAX_GAP_RMS_M,
     MAX_HANDOVER_DEG,
     MAX_HANDOVER_M,
     MAX_HANDOVER_SIGMA,
     MAX_RIDE_DEVIATION_PERCENT,
-    PaperTimes,
-    Ride,
     box_figures,
-    find_rides,
-    real_time_factor,
 )
+from hitchhike_ros.experiments.scoring.rides import Ride, find_rides
 from hitchhike_ros.protocol.messages import Deny, decode
 
 # A robot is where the ride begins within this (chosen: it still has to line up).

@@ -71,15 +71,11 @@ from hitchhike_ros.experiments.scenarios.ride_record import (
     TrafficSample,
     save_record,
 )
+from hitchhike_ros.experiments.scoring.boxes import match_boxes
 from hitchhike_ros.experiments.scoring.figures import all_hold
-from hitchhike_ros.experiments.scoring.ride_figures import (
-    Ride,
-    find_ride,
-    match_boxes,
-    module_changes,
-    node_costs,
-    ride_figures,
-)
+from hitchhike_ros.experiments.scoring.node_costs import node_costs
+from hitchhike_ros.experiments.scoring.ride_figures import ride_figures
+from hitchhike_ros.experiments.scoring.rides import Ride, find_ride, module_changes
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.nodes.sim.camera_frames import CameraFrames
 from hitchhike_ros.nodes.sim.processes import NodeProcesses

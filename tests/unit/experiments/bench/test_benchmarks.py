@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hitchhike_ros.experiments.bench import planning as bench_planning
-from hitchhike_ros.experiments.bench.registry import NAMES, load
-from hitchhike_ros.experiments.scenarios.runs import write_results
+from hitchhike_ros.experiments.bench.registry import BENCHMARKS, EXPERIMENTS, load
 from hitchhike_ros.experiments.scoring.figures import Figure
 
 MAP = "type octile\nheight 3\nwidth 4\nmap\n....\n.@@.\n....\n"
@@ -32,7 +30,7 @@ def by_name(figures: list[Figure]) -> dict[str, Figure]:
     return {figure.name: figure for figure in figures}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*BENCHMARKS, *EXPERIMENTS])
 def test_every_name_has_its_module(name):
     assert callable(load(name).run)
 
@@ -66,14 +64,3 @@ def test_changes_are_near_the_robot_and_leave_it_and_the_goal_alone():
     assert not {(2, 3), (2, 5)} & set(map(tuple, cells.tolist()))
     assert (np.abs(cells - [2, 3]) <= 10).all()
     assert (cells >= 0).all()
-
-
-def test_results_of_runs_are_written_one_a_line(tmp_path: Path) -> None:
-    runs = (Figure("a", 1.5, "m"), Figure("b", None, "s", bound=2.0))
-    write_results(tmp_path / "runs.json", {"first": runs, "none": (), "second": runs[:1]})
-    text = (tmp_path / "runs.json").read_text()
-    read = json.loads(text)
-    assert [run["name"] for run in read["first"]] == ["a", "b"]
-    assert read["first"][1]["value"] is None
-    assert read["none"] == [] and len(read["second"]) == 1
-    assert sum("{" in line for line in text.splitlines()[1:]) == 3

@@ -11,8 +11,9 @@ import msgspec
 
 from hitchhike_ros.experiments.report.html_report import write_report
 from hitchhike_ros.experiments.scenarios.ride_record import save_record
-from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedRide, RideScenario, RunResult, ScenarioResult
+from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedRide, RideScenario
 from hitchhike_ros.experiments.scoring.figures import Figure
+from hitchhike_ros.experiments.scoring.results import RunResult, ScenarioResult
 from repository import ROOT
 from synthetic_ride import synthetic_ride
 

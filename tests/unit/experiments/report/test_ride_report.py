@@ -24,8 +24,10 @@ from hitchhike_ros.experiments.report.ride_report import (
 )
 from hitchhike_ros.experiments.report.terminal import Text, table
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
+from hitchhike_ros.experiments.scoring.boxes import match_boxes
 from hitchhike_ros.experiments.scoring.figures import Figure, summarize
-from hitchhike_ros.experiments.scoring.ride_figures import Ride, find_ride, match_boxes, node_costs
+from hitchhike_ros.experiments.scoring.node_costs import node_costs
+from hitchhike_ros.experiments.scoring.rides import Ride, find_ride
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.status import ModuleSwitches

@@ -1,7 +1,6 @@
 """The drives of the benchmarks: what is drawn leaves a way, and what is found is compared with what is there."""
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from itertools import pairwise
 from multiprocessing import get_context
 
@@ -9,10 +8,7 @@ import numpy as np
 import pytest
 
 from hitchhike_ros.core.datatypes import Obstacle
-from hitchhike_ros.experiments.bench import avoidance as bench_avoidance
-from hitchhike_ros.experiments.bench import mapping as bench_mapping
-from hitchhike_ros.experiments.bench.registry import Benchmark, Options
-from hitchhike_ros.experiments.scenarios.corridor_drives import MODELS, DriveResult, compare, draw_world
+from hitchhike_ros.experiments.scenarios.corridor_drives import MODELS, compare, draw_world
 from hitchhike_ros.simulation.people import RADIUS_M
 from hitchhike_ros.simulation.world_file import distance_to_box, load_world
 from simulated_room import PACKAGE
@@ -50,29 +46,3 @@ def test_a_process_of_its_own_can_load_what_a_drive_needs() -> None:
     """In catkin's devel space too, where the compiled modules are not beside the others."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         assert pool.submit(draw_world, BASE, 3).result(timeout=120.0) == draw_world(BASE, 3)
-
-
-GOOD = DriveResult(0, "p3dx", "Goal reached", (), 25.0, 0.05, 0.02, 3, 3, (), 0.02, 0.03, 1.0, 23.3)
-
-
-@pytest.mark.parametrize(
-    ("bench", "change", "broken"),
-    [
-        (bench_avoidance, {}, set()),
-        (bench_avoidance, {"contacts": ("anna",)}, {"contacts with boxes, people and walls"}),
-        (bench_avoidance, {"outcome": "Navigation failed: no way"}, {"drives that reach their goal"}),
-        (bench_avoidance, {"goal_error_m": 0.2}, {"goal error, worst"}),
-        (bench_mapping, {}, set()),
-        (bench_mapping, {"found": 2}, {"boxes found"}),
-        (bench_mapping, {"phantoms": (Obstacle("obs4", 8.0, 5.0, 0.5, 0.5),)}, {"people and phantoms on the map"}),
-        (bench_mapping, {"place_error_m": 0.09}, {"box place error, worst"}),
-        (bench_mapping, {"size_error_m": 0.09}, {"box size error, worst"}),
-    ],
-)
-def test_one_bad_drive_breaks_its_bound_and_no_other(
-    bench: Benchmark, change: dict, broken: set[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drives = (GOOD, replace(GOOD, **change))
-    monkeypatch.setattr(bench, "corridor_drives", lambda _options, _progress: drives)
-    figures = bench.run(Options(PACKAGE, PACKAGE, PACKAGE), lambda *_: None)
-    assert {figure.name for figure in figures if figure.ok is False} == broken

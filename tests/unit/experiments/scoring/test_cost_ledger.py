@@ -30,7 +30,7 @@ from hitchhike_ros.experiments.scoring.cost_ledger import (
     window_between,
 )
 from hitchhike_ros.experiments.scoring.figures import Figure
-from hitchhike_ros.experiments.scoring.ride_figures import find_ride
+from hitchhike_ros.experiments.scoring.rides import find_ride
 from hitchhike_ros.protocol.driver.machine import ARRIVED
 from hitchhike_ros.protocol.status import Status
 from synthetic_ride import CAMERA, DECOUPLING, MARKER, RELEASED, REQUESTED, RIDING, SPEED, synthetic_ride

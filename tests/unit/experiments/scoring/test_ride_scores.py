@@ -7,11 +7,12 @@ from dataclasses import replace
 import pytest
 
 from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.experiments.scenarios.paper import PaperTimes
 from hitchhike_ros.experiments.scenarios.ride_record import Contact, RideRecord, TimedPose, TimedText
 from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedDenial, ExpectedRide, RideScenario
 from hitchhike_ros.experiments.scoring.figures import Figure
-from hitchhike_ros.experiments.scoring.ride_figures import PaperTimes, find_rides
 from hitchhike_ros.experiments.scoring.ride_scores import Score, score, steps
+from hitchhike_ros.experiments.scoring.rides import find_rides
 from hitchhike_ros.protocol.machine import stamped
 from hitchhike_ros.protocol.messages import Deny, encode
 from hitchhike_ros.protocol.status import Status

@@ -16,13 +16,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Picture
 
-from hitchhike_ros.experiments.bench.experiment import Findings, Options
-from hitchhike_ros.experiments.bench.registry import Progress
+from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.report.terminal import Cell, Text, table
 from hitchhike_ros.experiments.scenarios.grid_waits import DRIVERS, Job, Mode, Outcome, make_world, orders, scenario_of
 from hitchhike_ros.experiments.scenarios.grid_waits import run as run_one
-from hitchhike_ros.experiments.scenarios.runs import write_results
-from hitchhike_ros.experiments.scenarios.sweeps import cluster, sweep
+from hitchhike_ros.experiments.scenarios.progress import Progress
+from hitchhike_ros.experiments.scenarios.runs import run_all, write_results
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.simulation.grid.drawing import Recorder, animate, draw_state
 
@@ -51,7 +50,6 @@ def run(options: Options, progress: Progress) -> Findings:
 
     Raises:
         WorldFileError: a scenario cannot be used.
-        SchedulerError: there is no cluster at the address.
     """
     results = _results(options, progress)
     _pictures(options, results[0], progress)
@@ -83,13 +81,12 @@ def _jobs(maps: Path, seed: int) -> list[Job]:
 
 
 def _results(options: Options, progress: Progress) -> list[_Results]:
-    """Of every seed, on the cluster."""
+    """Of every seed."""
     maps = options.package / "maps"
-    seeds = range(options.seed, options.seed + options.runs)
+    seeds = range(options.seed, options.seed + (options.seeds or 1))
     jobs = [job for seed in seeds for job in _jobs(maps, seed)]
-    with cluster(options.scheduler, len(jobs)) as client:
-        outcomes = sweep("runs", run_one, jobs, progress, client)
-    write_results(options.report / "grid_runs.json", {"grid": outcomes})
+    outcomes = run_all("runs", run_one, jobs, progress)
+    write_results(options.output / "grid_runs.json", {"grid": outcomes})
     per_seed = len(jobs) // len(seeds)
     return [_sorted(outcomes[k * per_seed : (k + 1) * per_seed]) for k in range(len(seeds))]
 
@@ -227,15 +224,15 @@ def _table_1(results: _Results) -> str:
 
 def _pictures(options: Options, results: _Results, progress: Progress) -> None:
     """Plots of waits, and one ride with a network as picture and animation."""
-    _draw_waits(options.report / "grid_waits.png", results)
+    _draw_waits(options.output / "grid_waits.png", results)
     job = Job(str(options.package / "maps"), "profiles", "network", options.seed, places=(0, 1, 2), profiles=(2, 1, 0))
     world = make_world(job)
     recorder = Recorder(world, _GIF_PERIOD_S)
     world.run(70.0)
-    draw_state(options.report / "grid_state.png", world, "P18 §8.1.4, best profile")
+    draw_state(options.output / "grid_state.png", world, "P18 §8.1.4, best profile")
     world.run(scenario_of(job).duration_s, world.idle)
     progress("animation", 0, 1)
-    animate(options.report / "grid_ride.gif", world, recorder.frames, "P18 §8.1.4, best profile")
+    animate(options.output / "grid_ride.gif", world, recorder.frames, "P18 §8.1.4, best profile")
     progress("animation", 1, 1)
 
 
