@@ -21,9 +21,9 @@ from hitchhike_ros.core.datatypes import (
 )
 from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.geometry import compose, compose_jacobians, inverse
+from hitchhike_ros.core.pose_buffer import PoseBuffer, PoseBufferParameters
 from hitchhike_ros.localization.ekf import EkfParameters, check_gaussian
 from hitchhike_ros.localization.landmarks import CornerParameters
-from hitchhike_ros.localization.odometry_track import OdometryTrack, OdometryTrackParameters
 from hitchhike_ros.localization.particle_filter import ParticleParameters
 from hitchhike_ros.localization.scan_alignment import AlignmentParameters, Count, Sight
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, check_scan, end_points
@@ -39,7 +39,7 @@ class LocalizerParameters:
     alignment: AlignmentParameters = field(default_factory=AlignmentParameters)
     corner_share: UnitInterval = 0.2  # of a scan's information that its corners carry; the walls carry the rest
     corners_every: Count = 5  # scans: corners take most of the time and say little that walls do not
-    odometry: OdometryTrackParameters = field(default_factory=OdometryTrackParameters)
+    odometry: PoseBufferParameters = field(default_factory=PoseBufferParameters)
     particles: ParticleParameters = field(default_factory=ParticleParameters)
 
 
@@ -57,7 +57,7 @@ class Localizer(ABC):
     def __init__(self, markers: Iterable[Marker], parameters: LocalizerParameters, T_base_laser: Pose2D) -> None:
         self._parameters, self._T_base_laser = parameters, T_base_laser
         self._markers = {m.id: Pose2D(m.x, m.y, m.yaw) for m in markers}
-        self._odometry = OdometryTrack(parameters.odometry)
+        self._odometry = PoseBuffer(parameters.odometry)
         self._stamp = 0.0
         self._explained: float | None = None
         self._walls: FloatArray = np.zeros((3, 3))
