@@ -20,7 +20,7 @@ from hitchhike_ros.core.datatypes import (
     UnitInterval,
 )
 from hitchhike_ros.core.errors import SensorDataError
-from hitchhike_ros.core.geometry import compose, compose_jacobians, inverse
+from hitchhike_ros.core.geometry import between, compose, compose_jacobians, inverse
 from hitchhike_ros.core.pose_buffer import PoseBuffer, PoseBufferParameters
 from hitchhike_ros.localization.ekf import EkfParameters, check_gaussian
 from hitchhike_ros.localization.landmarks import CornerParameters
@@ -99,7 +99,7 @@ class Localizer(ABC):
         pose, covariance = estimate.pose, check_gaussian(estimate.pose, estimate.covariance)
         if self._odometry and estimate.stamp >= self._odometry.oldest.stamp:
             # A pose taken a moment ago: the robot has moved on since.
-            step = inverse(self._odometry.seen_from_now(min(estimate.stamp, self._stamp)))
+            step = inverse(self._seen_from_now(min(estimate.stamp, self._stamp)))
             J, _ = compose_jacobians(pose, step)
             pose, covariance = compose(pose, step), J @ covariance @ J.T
         elif not self._odometry:
@@ -131,7 +131,7 @@ class Localizer(ABC):
         """
         self._check_initialised()
         check_scan(scan)
-        T_now_laser = compose(self._odometry.seen_from_now(scan.stamp, "scan"), self._T_base_laser)
+        T_now_laser = compose(self._seen_from_now(scan.stamp, "scan"), self._T_base_laser)
         origin = np.array([T_now_laser.x, T_now_laser.y])
         sight = self._correct_by_scan(end_points(scan, T_now_laser), origin)
         self._explained = sight.explained if sight else None
@@ -154,7 +154,7 @@ class Localizer(ABC):
                 continue
             if not (seen.pose.is_finite() and np.isfinite(seen.covariance).all()):
                 raise SensorDataError(f"marker {seen.marker_id} at {seen.stamp:.2f} s is not finite")
-            T_now_then = self._odometry.seen_from_now(seen.stamp, "image")
+            T_now_then = self._seen_from_now(seen.stamp, "image")
             _, J = compose_jacobians(T_now_then, seen.pose)
             T_now_marker, covariance = compose(T_now_then, seen.pose), J @ seen.covariance @ J.T
             now = MarkerObservation(self._stamp, seen.marker_id, T_now_marker, covariance)
@@ -169,13 +169,22 @@ class Localizer(ABC):
             RuntimeError: before :meth:`initialise`.
         """
         now = self.estimate
-        T_now_then = self._odometry.seen_from_now(stamp)
+        T_now_then = self._seen_from_now(stamp)
         J, _ = compose_jacobians(now.pose, T_now_then)
         return PoseEstimate(stamp, compose(now.pose, T_now_then), J @ now.covariance @ J.T)
 
     def odometry_at(self, stamp: float) -> Pose2D:
         """Pose in the robot's ``odom`` frame at ``stamp``; raises as :meth:`estimate_at`."""
         return self._odometry.at(stamp)
+
+    def _seen_from_now(self, stamp: float, what: str = "time asked for") -> Pose2D:
+        """T_now_then: where the robot was at ``stamp``, seen from where it is at the newest odometry.
+
+        Raises:
+            SensorDataError: ``what`` was at that time is too old or too new for the odometry.
+        """
+        then = self._odometry.at(stamp, what)
+        return between(self._odometry.newest.pose, then)
 
     def _start_anew(self) -> None:
         self._explained, self._walls = None, np.zeros((3, 3))
