@@ -46,11 +46,11 @@ from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from std_msgs.msg import String
 
-from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import MessageError, PlanningError, SensorDataError, WorldFileError
 from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.parameters import convert
+from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits, mount
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import load_hitchhiking, load_sites
@@ -123,7 +123,7 @@ class HitchhikeComm:
         self._grid: OccupancyGrid | None = None
         self._situation = Situation()
         self._navigation = self._planning = NavigationReport("", "idle")
-        self._odometry = OdometryHistory()
+        self._odometry = PoseBuffer()
         self._estimate: PoseEstimate | None = None
         self._fed_back: PoseEstimate | None = None
         self._observations = Observations()
@@ -177,16 +177,15 @@ class HitchhikeComm:
             self._estimate = estimate_from_msg(msg)
 
     def _on_odometry(self, msg: OdometryMsg) -> None:
-        try:
-            odometry = odometry_from_msg(msg)
-        except SensorDataError:
-            with self._lock:
+        with self._lock:
+            try:
+                odometry = odometry_from_msg(msg)
+                self._odometry.add(odometry)
+            except SensorDataError:
                 self._odometry.clear()
                 # Unknown is not standing still; the modules that drive stop by themselves.
                 self._situation = replace(self._situation, speed_mps=math.inf)
-            return
-        with self._lock:
-            self._odometry.add(odometry)
+                return
             self._situation = replace(self._situation, speed_mps=odometry.twist.v)
 
     def _on_map(self, msg: OccupancyGridMsg) -> None:
@@ -240,8 +239,8 @@ class HitchhikeComm:
         servo = None if self._published is None else self._published.servo
         seen = next((o for o in observations.markers if servo is not None and o.marker_id == servo.marker_id), None)
         with self._lock:
-            seen_from = None if seen is None else self._odometry.at(seen.stamp)
-            odom_pose = self._odometry.at(now)
+            seen_from = self._odometry.at(seen.stamp) if seen and self._odometry.covers(seen.stamp) else None
+            odom_pose = self._odometry.at(now) if self._odometry.covers(now) else None
         situation = replace(situation, navigation=navigation, estimate=estimate)
         situation = replace(situation, observation=seen, seen_from=seen_from, odom_pose=odom_pose)
         tick = Tick(replace(situation, following=observations.following))

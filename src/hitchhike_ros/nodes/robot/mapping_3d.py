@@ -47,10 +47,10 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import ColorRGBA, String, UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
-from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, Odometry, Positive, Twist2D
 from hitchhike_ros.core.errors import MapFileError, MessageError, SensorDataError
 from hitchhike_ros.core.geometry import matrix_from_xyz_rpy
+from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import fixed_transforms
 from hitchhike_ros.mapping.octree import OccupancyOctree, OctreeParameters, Voxels, read_voxels
 from hitchhike_ros.protocol.map_transfer import MapReceiver, MapSender, Transfer, TransferParameters
@@ -100,7 +100,7 @@ class Mapping3D:
         self._tree: OccupancyOctree | None = None
         self._depth: Image | None = None
         self._info: CameraInfo | None = None
-        self._poses = OdometryHistory()
+        self._poses = PoseBuffer()
         self._taken_at = self._began_at = -math.inf
         self._riding_with: tuple[str, str] | None = None  # driver and ride
         self._senders: dict[str, MapSender] = {}
@@ -205,7 +205,10 @@ class Mapping3D:
         estimate = estimate_from_msg(msg)
         if estimate.pose.is_finite():
             with self._lock:
-                self._poses.add(Odometry(estimate.stamp, estimate.pose, Twist2D()))
+                try:
+                    self._poses.add(Odometry(estimate.stamp, estimate.pose, Twist2D()))
+                except SensorDataError:
+                    self._diagnostics.count("pose_jumps")
 
     def _on_network(self, msg: String) -> None:
         if '"map_' not in msg.data:  # the machines' messages are many
@@ -243,18 +246,18 @@ class Mapping3D:
         if now - max(self._taken_at, self._began_at) > _SILENT_PERIODS * period_s:
             what = "no depth image" if self._depth is None or self._info is None else "no pose at the image's stamp"
             self._diagnostics.set(ERROR, f"{what} for {now - max(self._taken_at, self._began_at):.1f} s")
-        msg, until = self._depth, self._poses.stamp
+        msg = self._depth
         if msg is None or self._info is None or self._tree is None or self._T_base_camera is None:
             return
         stamp = msg.header.stamp.to_sec()
-        if until is None or until < stamp:
+        if not self._poses or self._poses.newest.stamp < stamp:
             if now - stamp > period_s:
                 self._depth = None  # localization is behind; a newer image will do
             return
         self._depth = None
-        pose = self._poses.at(stamp)
-        if pose is None:
+        if stamp < self._poses.oldest.stamp:
             return
+        pose = self._poses.at(stamp)
         self._taken_at = stamp
         T_map_base = matrix_from_xyz_rpy((pose.x, pose.y, 0.0), (0.0, 0.0, pose.theta))
         try:

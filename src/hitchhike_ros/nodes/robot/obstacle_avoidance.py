@@ -48,13 +48,13 @@ from std_msgs.msg import Bool, String
 
 from hitchhike_ros.control.local_planner import LocalPlanner
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
-from hitchhike_ros.control.odometry_history import OdometryHistory
 from hitchhike_ros.control.teleop_authority import TeleopAuthority, TeleopAuthorityParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, PoseEstimate, Positive, Side, Twist2D
 from hitchhike_ros.core.errors import PlanningError, SensorDataError, TeleopError
 from hitchhike_ros.core.geometry import compose, distance, pose_from_matrix, wrap_angle
 from hitchhike_ros.core.parameters import convert
+from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits, mount
 from hitchhike_ros.protocol.machine import NavigationReport
 from hitchhike_ros.protocol.status import GoalCommand, Status
@@ -140,7 +140,7 @@ class ObstacleAvoidanceNode:
         self._followed: tuple[str, _Plan] | None = None
         self._turns_for = ""  # the order for which it turns along a wall
         self._estimate: PoseEstimate | None = None
-        self._odometry = OdometryHistory()
+        self._odometry = PoseBuffer()
         self._odometry_problem = ""
         self._decided_at = rospy.get_time()
 
@@ -262,7 +262,7 @@ class ObstacleAvoidanceNode:
             self._stand(str(exc))
             return
         decision = self._local_planner.step(
-            self._decided_at, pose, self._odometry.twist, scan, self._T_base_laser, limit, gentle, others, hand
+            self._decided_at, pose, self._odometry.newest.twist, scan, self._T_base_laser, limit, gentle, others, hand
         )
         level = ERROR if decision.state == "blocked" else OK
         self._act(goal, NavigationReport(goal.id, decision.state, decision.reason), decision.twist, level)
@@ -304,9 +304,9 @@ class ObstacleAvoidanceNode:
         estimate, max_age_s = self._estimate, self._params.max_age_s
         if self._odometry_problem:
             raise SensorDataError(self._odometry_problem)
-        if self._odometry.stamp is None:
+        if not self._odometry:
             raise SensorDataError("no odometry")
-        if not abs(stamp - self._odometry.stamp) <= max_age_s:
+        if not abs(stamp - self._odometry.newest.stamp) <= max_age_s:
             raise SensorDataError(f"odometry is more than {max_age_s} s off the scan")
         if estimate is None:
             raise SensorDataError("no pose")
@@ -316,10 +316,7 @@ class ObstacleAvoidanceNode:
             raise SensorDataError(f"pose is more than {max_age_s} s off the scan")
         if abs(stamp - estimate.stamp) <= _STAMP_TOLERANCE_S:
             return estimate.pose
-        motion = self._odometry.motion(estimate.stamp, stamp)
-        if motion is None:
-            raise SensorDataError("no odometry between pose and scan")
-        return compose(estimate.pose, motion)
+        return compose(estimate.pose, self._odometry.motion(estimate.stamp, stamp, "pose or scan"))
 
     # Output.
 
