@@ -10,7 +10,6 @@ otherwise.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +18,7 @@ import numpy as np
 from hitchhike_ros.core.datatypes import MarkerObservation, Odometry, Pose2D, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.geometry import compose, wrap_angle
+from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.servoing.driver_estimate import DriverEstimate
 from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
@@ -54,7 +54,7 @@ class FollowLaw:
         self._params, self._limits, self._camera_x = params, limits, camera_x_m
         self._law = make_law(params, limits)
         self._max_omega = min(params.max_yaw_rate_rps, limits.max_yaw_rate_rps)
-        self._odometry: deque[Odometry] = deque()
+        self._odometry = PoseBuffer()
         self.reset()
 
     def reset(self) -> None:
@@ -67,18 +67,14 @@ class FollowLaw:
         """The newest reading of the wheels.
 
         Raises:
-            SensorDataError: it is not finite.
+            SensorDataError: it is not finite, runs back in time or has jumped. The driver is forgotten then: what the
+                robot did meanwhile is not known, and the trail is no longer where it was.
         """
-        if not (math.isfinite(odometry.stamp) and odometry.pose.is_finite() and odometry.twist.is_finite()):
-            raise SensorDataError(f"odometry at {odometry.stamp:.2f} s is not finite")
-        if self._odometry and odometry.stamp < self._odometry[-1].stamp:  # the clock was reset
-            self._odometry.clear()
+        try:
+            self._odometry.add(odometry)
+        except SensorDataError:
             self.reset()
-        if self._odometry and odometry.stamp == self._odometry[-1].stamp:
-            self._odometry.pop()
-        self._odometry.append(odometry)
-        while odometry.stamp - self._odometry[0].stamp > 1.0:
-            self._odometry.popleft()
+            raise
 
     def step(
         self,
@@ -106,7 +102,7 @@ class FollowLaw:
             self.add_odometry(odometry)
         if observation is not None:
             self._see(observation, feed_forward_mps)
-        age = now - self._odometry[-1].stamp if self._odometry else math.inf
+        age = now - self._odometry.newest.stamp if self._odometry else math.inf
         if not age <= p.odometry_timeout_s:
             return Decision(Twist2D(), "stopped", "no odometry" if math.isinf(age) else f"odometry is {age:.2f} s old")
         driver = self._driver
@@ -117,7 +113,7 @@ class FollowLaw:
         return self._follow(now, driver, gap_m)
 
     def _follow(self, now: float, driver: DriverEstimate, gap_m: float) -> Decision:
-        own = self._odometry[-1].pose
+        own = self._odometry.newest.pose
         target = self._target(now, own, driver)
         v, omega = self._law.velocities(View(own, self._trail, target, driver.speed), gap_m)
         # Bearing's rate is drift - omega.
@@ -131,15 +127,15 @@ class FollowLaw:
         """Look ahead for a while, then to both sides: nothing is known of it yet."""
         if self._search is None:
             self._search = DriverSearch(self._params, self._limits, Departure(0.0, 0.0, 0.0), now)
-        twist, state = self._search.step(now, self._odometry[-1].pose, self._trail, 0.0)
+        twist, state = self._search.step(now, self._odometry.newest.pose, self._trail, 0.0)
         return Decision(twist, "searching" if state == "looking" else state, "marker not seen yet")
 
     def _search_driver(self, now: float, driver: DriverEstimate) -> Decision:
-        own = self._odometry[-1].pose
+        own = self._odometry.newest.pose
         if self._search is None:
             bearing = self._target(driver.stamp + self._params.lost_timeout_s, own, driver).bearing
             turned = wrap_angle(driver.heading - own.theta)
-            departure = Departure(max(self._odometry[-1].twist.v, 0.0), bearing, turned)
+            departure = Departure(max(self._odometry.newest.twist.v, 0.0), bearing, turned)
             self._search = DriverSearch(self._params, self._limits, departure, now)
         place = self._trail.advance(own.x, own.y)
         ahead = self._camera_x + self._params.marker_offset_m + self._params.coast_stop_m
@@ -191,19 +187,5 @@ class FollowLaw:
         return max(drift - gain * (limit - bearing), min(drift + gain * (limit + bearing), omega))
 
     def pose_at(self, stamp: float) -> Pose2D | None:
-        """Own pose in ``odom`` when an image was taken, between two readings of the odometry; None where unknown."""
-        if not self._odometry or not self._odometry[0].stamp - 0.05 <= stamp:
-            return None
-        after = next((o for o in self._odometry if o.stamp >= stamp), None)
-        if after is None:  # the image is newer than the wheels: carry the last reading on
-            last = self._odometry[-1]
-            dt = stamp - last.stamp
-            if dt > self._params.odometry_timeout_s:
-                return None
-            return compose(last.pose, Pose2D(last.twist.v * dt, 0.0, last.twist.omega * dt))
-        before = max((o for o in self._odometry if o.stamp <= stamp), key=lambda o: o.stamp, default=after)
-        span = after.stamp - before.stamp
-        f = (stamp - before.stamp) / span if span > 0.0 else 0.0
-        a, b = before.pose, after.pose
-        turn = wrap_angle(b.theta - a.theta)
-        return Pose2D(a.x + f * (b.x - a.x), a.y + f * (b.y - a.y), a.theta + f * turn)
+        """Own pose in ``odom`` when an image was taken; None where the odometry does not reach."""
+        return self._odometry.at(stamp) if self._odometry.covers(stamp) else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from flat_world import TURTLEBOT as LIMITS
 from hitchhike_ros.core.datatypes import MarkerObservation, Odometry, Pose2D, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
-from hitchhike_ros.core.geometry import between, compose, wrap_angle
+from hitchhike_ros.core.geometry import between, compose, move, wrap_angle
 from hitchhike_ros.servoing.driver_estimate import DriverEstimate
 from hitchhike_ros.servoing.driver_trail import Trail
 from hitchhike_ros.servoing.follow import Decision, FollowLaw
@@ -328,12 +328,14 @@ def test_senseless_observations_change_nothing():
     assert law.step(0.0, None, None, GAP) == before
 
 
-def test_a_clock_that_starts_again_forgets_the_driver():
+@pytest.mark.parametrize("later", [Odometry(0.0, Pose2D(), Twist2D()), Odometry(100.1, Pose2D(0.0, 3.0), Twist2D())])
+def test_odometry_that_jumps_in_time_or_space_forgets_the_driver(later):
     law = FollowLaw(FollowParameters(), LIMITS, 0.0)
-    law.add_odometry(Odometry(100.0, Pose2D(), Twist2D()))
-    law.step(0.0, observation(100.0), None, GAP)
-    law.add_odometry(Odometry(0.0, Pose2D(), Twist2D()))
-    assert law.step(0.0, None, None, GAP).state == "searching"
+    law.step(100.0, observation(100.0), Odometry(100.0, Pose2D(), Twist2D()), GAP)
+    assert law.step(100.0, None, None, GAP).state == "following"
+    with pytest.raises(SensorDataError, match=r"back in time|jumped"):
+        law.add_odometry(later)
+    assert law.step(later.stamp, None, None, GAP).state == "searching"
 
 
 @given(
@@ -368,12 +370,14 @@ def test_a_new_ride_elsewhere_does_not_lead_back_to_the_old_trail():
 
 def test_an_image_between_two_readings_of_the_wheels_counts_from_the_pose_in_between():
     law = FollowLaw(FollowParameters(), LIMITS, 0.0)
-    law.add_odometry(Odometry(0.0, Pose2D(0.0, 0.0, 3.1), Twist2D()))
-    law.add_odometry(Odometry(0.1, Pose2D(0.1, 0.2, -3.1), Twist2D()))
-    own = law.pose_at(0.05)
-    assert own is not None
-    assert (own.x, own.y) == (pytest.approx(0.05), pytest.approx(0.1))
-    assert abs(wrap_angle(own.theta - math.pi)) < 1e-9
+    start, twist = Pose2D(1.0, 2.0, 3.1), Twist2D(0.5, 0.8)
+    law.add_odometry(Odometry(0.0, start, twist))
+    law.add_odometry(Odometry(0.1, move(start, twist, 0.1), twist))
+    for stamp in (0.0, 0.05, 0.25):
+        own = law.pose_at(stamp)
+        assert own is not None
+        assert astuple(own) == pytest.approx(astuple(move(start, twist, stamp)))
+    assert law.pose_at(0.35) is None
 
 
 def test_speed_of_the_driver_is_learnt():
