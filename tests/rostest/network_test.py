@@ -49,7 +49,7 @@ class NetworkTest(unittest.TestCase):
         watch.until(lambda: counts().get("dropped_replayed") == "1", 30, "one replayed message")
 
         self.assertEqual("requesting", watch.state(ROBOT))
-        level, text, _ = watch.diagnostic(f"{ROBOT}: hitchhike_comm")
+        level, text, _ = watch.diagnostic(f"{ROBOT}: award_ledger")
         self.assertEqual(DiagnosticStatus.WARN, level)
         self.assertIn("awards are not written down: /dev/null/awards.sqlite is 'below /dev/null, which", text)
         denial = Deny(robot_id="ghost", to=ROBOT, ride_id=request.ride_id, seq=8, reason="Path too short")

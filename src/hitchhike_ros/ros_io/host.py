@@ -24,7 +24,7 @@ from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.modules.module import Level, Module, Order, Outputs, Refused
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.ros_io.node import Diagnostics, LockstepAnswer
-from hitchhike_ros.ros_io.topics import INLETS, Inlet, Outlet
+from hitchhike_ros.ros_io.topics import INLETS, Inlet, Outlet, resolve
 
 T = TypeVar("T")
 
@@ -77,7 +77,8 @@ class ModuleHost:
     Args:
         robot: is stepped.
         outlets: by module, what is published of its outputs.
-        orders: whether orders come as messages; a robot of all modules makes its own.
+        orders: whether orders come as messages. A robot with hitchhike_comm makes its own, and does not take what its
+            node published itself for something new.
         also: is called with each module's name and outputs, for what is no topic.
         start: whether its thread runs; a test calls :meth:`turn` instead.
     """
@@ -95,7 +96,7 @@ class ModuleHost:
         self._outlets = {name: list(of_module) for name, of_module in outlets.items()}
         self._publishers = {
             outlet: rospy.Publisher(
-                outlet.topic, outlet.cls, queue_size=outlet.queue_size, latch=outlet.latch, tcp_nodelay=True
+                resolve(outlet.topic), outlet.cls, queue_size=outlet.queue_size, latch=outlet.latch, tcp_nodelay=True
             )
             for of_module in self._outlets.values()
             for outlet in of_module
@@ -104,7 +105,7 @@ class ModuleHost:
         self._answers = {name: LockstepAnswer(name) for name in self._outlets}
         self.failure: Exception | None = None
         self._changed = threading.Condition()
-        self._arrived: deque[_Arrived | tuple[Future[Any], Callable[[], Any]]] = deque()
+        self._arrived: deque[_Arrived | Callable[[], None]] = deque()
         self._waiting: dict[Inlet, int] = {}
         self._due = -float("inf")
         self._logged: dict[tuple[str, str], float] = {}
@@ -123,7 +124,7 @@ class ModuleHost:
     def receive(self, inlet: Inlet, msg: Any) -> None:
         """Put a message away until the thread comes to it; the oldest of a full queue is dropped."""
         if not self._orders and _sender(msg) == rospy.get_name():
-            return  # a robot of all modules has handed on already what it says itself
+            return
         with self._changed:
             if self._waiting.get(inlet, 0) >= inlet.queue_size:
                 self._arrived.remove(next(a for a in self._arrived if isinstance(a, _Arrived) and a.inlet is inlet))
@@ -139,10 +140,18 @@ class ModuleHost:
             TimeoutError: the thread did not come to it within ``timeout_s`` of wall time.
         """
         future: Future[T] = Future()
-        with self._changed:
-            self._arrived.append((future, function))
-            self._changed.notify_all()
+        self.post(lambda: _answer(future, function))
         return future.result(timeout_s)
+
+    def post(self, function: Callable[[], None]) -> None:
+        """Have the thread that steps the module run ``function`` when it comes to it."""
+        with self._changed:
+            self._arrived.append(function)
+            self._changed.notify_all()
+
+    def order(self, order: Order) -> None:
+        """Hand the module an order; to be called on the thread that steps it."""
+        self._robot.order(order, rospy.get_time())
 
     def _on_tick(self, msg: Clock) -> None:
         if msg.clock.to_sec() >= self._due:
@@ -159,7 +168,7 @@ class ModuleHost:
             if isinstance(item, _Arrived):
                 self._hand_on(item)
             else:
-                _answer(*item)
+                item()
         while self._robot.next_due(now) <= now:
             for name, outputs in self._robot.step(now):
                 self._publish(name, outputs)
@@ -225,7 +234,7 @@ class ModuleHost:
         for what in wanted - self._subscribers.keys():
             inlet = INLETS[what]
             self._subscribers[what] = rospy.Subscriber(
-                inlet.topic,
+                resolve(inlet.topic),
                 inlet.cls,
                 partial(self.receive, inlet),
                 queue_size=inlet.queue_size,

@@ -2,62 +2,71 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import actionlib
 import rospy
 from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback
 
-from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.modules.hitchhike_comm import HitchhikeCommOutputs
 from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven
 from hitchhike_ros.ros_io.conversions import pose_from_msg, pose_stamped
-from hitchhike_ros.ros_io.timer import Timer
 
 
 class MoveBaseServer:
-    """An action server that is polled, so that whoever steps the robot also says what became of its goal."""
+    """The action server of one robot.
 
-    def __init__(self) -> None:
-        # Its status comes at each change, and once a second from here: a timer of actionlib's wakes at every tick.
-        rospy.set_param("~actionlib_status_frequency", 0.0)
+    ``run`` runs a function on the thread that steps the robot: a goal is accepted there, so that the end of the one
+    before it is never taken for its own. ``give`` hands the robot what a client wants, on that thread too.
+    """
+
+    def __init__(
+        self, run: Callable[[Callable[[], None]], object], give: Callable[[GoalGiven | GoalCancelled], None]
+    ) -> None:
+        self._give = give
+        rospy.set_param("~actionlib_status_frequency", 1.0)  # it also comes at each change
         self._server = actionlib.SimpleActionServer("move_base", MoveBaseAction, auto_start=False)
+        self._server.register_goal_callback(lambda: run(self._accept))
+        self._server.register_preempt_callback(lambda: run(self._preempt))
         self._plain: PoseStamped | None = None
         self._forward = rospy.Publisher("move_base/goal", MoveBaseActionGoal, queue_size=5)
         self._server.start()
-        self._heartbeat = Timer(1.0, self._server.action_server.publish_status)
         self._subscriber = rospy.Subscriber("move_base_simple/goal", PoseStamped, self._on_plain, queue_size=1)
 
-    @property
-    def active(self) -> bool:
-        """Whether a client waits for the end of a goal."""
-        return bool(self._server.is_active())
-
-    def poll(self) -> GoalGiven | GoalCancelled | None:
-        """What a client wants since the last poll; a goal that replaces another one preempts it."""
+    def tell(self, outputs: HitchhikeCommOutputs) -> None:
+        """Tell the client what comes of its goal, after each step."""
         self._forward_plain()
-        if self._server.is_new_goal_available():
-            target = self._server.accept_new_goal().target_pose
-            goal, frame = pose_from_msg(target.pose), target.header.frame_id
-            if goal.is_finite() and frame.strip("/") in ("map", ""):
-                return GoalGiven(goal)
-            text = f"goal in frame {frame!r} at {goal}, expected finite and in 'map'"
-            rospy.logwarn("move_base: %s", text)
-            self._server.set_aborted(text=text)
-            return GoalCancelled()  # the goal before it is preempted all the same
-        if self.active and self._server.is_preempt_requested():
+        if not self._server.is_active():
+            return
+        if outputs.pose is not None:
+            stamped = pose_stamped(outputs.pose.pose, outputs.pose.stamp, "map")
+            self._server.publish_feedback(MoveBaseFeedback(base_position=stamped))
+        if outputs.outcome is not None:
+            finish = self._server.set_succeeded if outputs.outcome.reached else self._server.set_aborted
+            finish(text=outputs.outcome.text)
+
+    def _accept(self) -> None:
+        if not self._server.is_new_goal_available():
+            return  # a newer one has been accepted in its place
+        target = self._server.accept_new_goal().target_pose
+        goal, frame = pose_from_msg(target.pose), target.header.frame_id
+        if goal.is_finite() and frame.strip("/") in ("map", ""):
+            self._give(GoalGiven(goal))
+            return
+        text = f"goal in frame {frame!r} at {goal}, expected finite and in 'map'"
+        rospy.logwarn("move_base: %s", text)
+        self._server.set_aborted(text=text)
+        self._give(GoalCancelled())  # the goal before it is preempted all the same
+
+    def _preempt(self) -> None:
+        if (
+            self._server.is_active()
+            and self._server.is_preempt_requested()
+            and not self._server.is_new_goal_available()
+        ):
             self._server.set_preempted(text="Goal cancelled")
-            return GoalCancelled()
-        return None
-
-    def feed_back(self, pose: Pose2D, stamp: float) -> None:
-        """Tell the client where the robot is."""
-        self._server.publish_feedback(MoveBaseFeedback(base_position=pose_stamped(pose, stamp, "map")))
-
-    def finish(self, reached: bool, text: str) -> None:
-        """End the goal."""
-        if reached:
-            self._server.set_succeeded(text=text)
-        else:
-            self._server.set_aborted(text=text)
+            self._give(GoalCancelled())
 
     def _on_plain(self, msg: PoseStamped) -> None:
         self._plain = msg

@@ -1,7 +1,7 @@
 """Which topic carries which input and output of the modules, and how each is converted: a row each.
 
-Topics are relative to the robot's namespace. An input has one row, whoever takes it; of an output every module has rows
-of its own.
+Topics are relative to the robot's namespace; ``~name`` is the topic that private parameter ``name`` of the node names.
+An input has one row, whoever takes it; of an output every module has rows of its own.
 """
 
 from __future__ import annotations
@@ -10,13 +10,38 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from geometry_msgs.msg import Twist
+import msgspec
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
+from nav_msgs.msg import Odometry as OdometryMsg
 from std_msgs.msg import String
 
-from hitchhike_ros.core.datatypes import Twist2D
-from hitchhike_ros.modules.inputs import NavigationCommand, ServoingCommand, TeleopCommand
-from hitchhike_ros.protocol.status import Status, decode_status
-from hitchhike_ros.ros_io.conversions import twist_from_msg, twist_to_msg
+from hitchhike_ros.core.datatypes import Odometry, PoseEstimate, Twist2D
+from hitchhike_ros.core.errors import MessageError, SensorDataError
+from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.modules.inputs import (
+    FoundObstacles,
+    HandedOverObstacles,
+    InitialPose,
+    NavigationCommand,
+    NetworkText,
+    PlanReport,
+    ServoingCommand,
+    TeleopCommand,
+)
+from hitchhike_ros.protocol.machine import Award, NavigationReport
+from hitchhike_ros.protocol.messages import NewObstacles
+from hitchhike_ros.protocol.observations import Observations, decode_observations
+from hitchhike_ros.protocol.status import Status, decode_status, encode_status
+from hitchhike_ros.ros_io.conversions import (
+    estimate_from_msg,
+    estimate_to_msg,
+    grid_from_msg,
+    odometry_from_msg,
+    twist_from_msg,
+    twist_to_msg,
+)
+from hitchhike_ros.ros_io.parameters import network_topic
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,22 +67,104 @@ class Outlet:
     queue_size: int = 1
 
 
+def resolve(topic: str) -> str:
+    """``topic``, or the one that a private parameter of the node names.
+
+    Raises:
+        ParameterError: the parameter is no name of a topic.
+    """
+    return network_topic(topic[1:]) if topic.startswith("~") else topic
+
+
+# Messages into inputs.
+
+
 def _twist_of(command: type) -> Callable[[Twist], object]:
     return lambda msg: command(twist_from_msg(msg))
 
 
-def _twists(twist: Twist2D) -> Iterable[Twist]:
-    yield twist_to_msg(twist)
+def _json_of(cls: type, topic: str) -> Callable[[String], Any]:
+    decoder: msgspec.json.Decoder[Any] = msgspec.json.Decoder(
+        cls
+    )  # made once: msgspec crashes when two threads make the first one of a type
+
+    def decode(msg: String) -> Any:
+        try:
+            return decoder.decode(msg.data)
+        except msgspec.MsgspecError as exc:
+            raise MessageError(f"{topic}: {exc}") from exc
+
+    return decode
+
+
+def _estimate(msg: PoseWithCovarianceStamped) -> PoseEstimate:
+    estimate = estimate_from_msg(msg)
+    if not estimate.pose.is_finite():
+        raise SensorDataError(f"pose at {estimate.stamp:.2f} s is not finite")
+    return estimate
+
+
+_decode_boxes = _json_of(NewObstacles, "new_obstacles")
+
+
+def _heard(msg: String) -> NetworkText:
+    header = getattr(msg, "_connection_header", None) or {}
+    return NetworkText(msg.data, str(header.get("callerid", "?")))
 
 
 INLETS: dict[type, Inlet] = {
     inlet.what: inlet
     for inlet in (
         Inlet(Status, "hhike_msg/status", String, lambda msg: decode_status(msg.data), queue_size=10),
+        # Sensors; of odometry nothing is left out, as filters add it up.
+        Inlet(Odometry, "odom", OdometryMsg, odometry_from_msg, queue_size=50),
+        # From module to module.
+        Inlet(PoseEstimate, "amcl_pose", PoseWithCovarianceStamped, _estimate),
+        Inlet(OccupancyGrid, "map", OccupancyGridMsg, grid_from_msg),
+        Inlet(FoundObstacles, "new_obstacles", String, lambda msg: FoundObstacles(_decode_boxes(msg).obstacles)),
+        Inlet(NavigationReport, "navigation/status", String, _json_of(NavigationReport, "navigation/status"), 10),
+        Inlet(PlanReport, "path_planning/status", String, _json_of(PlanReport, "path_planning/status"), 10),
+        Inlet(Observations, "visual_servoing/observations", String, lambda msg: decode_observations(msg.data), 10),
         Inlet(TeleopCommand, "cmd_vel/teleop", Twist, _twist_of(TeleopCommand)),
         Inlet(ServoingCommand, "cmd_vel/servoing", Twist, _twist_of(ServoingCommand)),
         Inlet(NavigationCommand, "cmd_vel/navigation", Twist, _twist_of(NavigationCommand)),
+        # From robot to robot.
+        Inlet(NetworkText, "~network_in", String, _heard, queue_size=200),
     )
 }
 
+# Outputs into messages.
+
+
+def _json(value: object) -> Iterable[String]:
+    yield String(msgspec.json.encode(value, enc_hook=float).decode())
+
+
+def _twists(twist: Twist2D) -> Iterable[Twist]:
+    yield twist_to_msg(twist)
+
+
+def _texts(texts: Iterable[str]) -> Iterable[String]:
+    return map(String, texts)
+
+
+def _boxes(boxes: FoundObstacles | HandedOverObstacles) -> Iterable[String]:
+    return _json(NewObstacles(obstacles=boxes.obstacles))
+
+
+def _awards(awards: Iterable[Award]) -> Iterable[String]:
+    return (text for award in awards for text in _json(award))
+
+
+def _initial_pose(start: InitialPose) -> Iterable[PoseWithCovarianceStamped]:
+    yield estimate_to_msg(start.estimate)
+
+
 VELOCITY_MUX = (Outlet("twist", "cmd_vel", Twist, _twists),)
+HITCHHIKE_COMM = (
+    Outlet("messages", "~network_out", String, _texts, queue_size=50),
+    Outlet("initial_pose", "initialpose", PoseWithCovarianceStamped, _initial_pose, queue_size=10),
+    Outlet("handed_over", "hhike_msg/new_obstacles", String, _boxes, queue_size=10),
+    Outlet("awards", "hhike_msg/award", String, _awards, latch=True, queue_size=10),
+    Outlet("status", "hhike_msg/status", String, lambda status: _texts([encode_status(status)]), True, 10),
+)

@@ -1,0 +1,288 @@
+"""Asks for rides, gives rides, and says what the other modules of its robot do (P17 Fig. 8, module COM)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from hitchhike_ros.core.datatypes import FloatArray, Odometry, Pose2D, PoseEstimate
+from hitchhike_ros.core.errors import MessageError, PlanningError, SensorDataError
+from hitchhike_ros.core.pose_buffer import PoseBuffer
+from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, InitialPose, NetworkText, PlanReport
+from hitchhike_ros.modules.module import Fresh, Health, Level, Order, Outputs, Refused
+from hitchhike_ros.planning.global_planner import GlobalPlanner
+from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.inbox import Inbox
+from hitchhike_ros.protocol.machine import (
+    Award,
+    Effect,
+    GoalCancelled,
+    GoalGiven,
+    NavigationReport,
+    Report,
+    Send,
+    Situation,
+    TakeObstacles,
+    TakePose,
+    Tick,
+    stamped,
+)
+from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, encode
+from hitchhike_ros.protocol.observations import Observations
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.status import Status
+
+# An estimate older than this is no longer the robot's pose (s).
+_ESTIMATE_AGE_S = 1.0
+# The status is repeated, since orders have an age (s).
+_STATUS_PERIOD_S = 1.0
+# A robot decides so often; a rider that follows its driver and a robot that has nothing to do decide less often while
+# nothing arrives (s, chosen).
+_PERIOD_S, _RIDING_PERIOD_S, _IDLE_PERIOD_S = 0.1, 0.3, 0.2
+# A step that comes this much early will do, or a clock with ticks would make each one late (s).
+_EARLY_S = 1e-3
+# Refused messages of one sender are reported once in so long (s).
+_REPORT_PERIOD_S = 10.0
+# Messages that come again and again wait for the next step; all others are answered at once.
+_REPEATED = (Ack, Beacon, Driver)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the goal ended."""
+
+    reached: bool
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HitchhikeCommOutputs(Outputs):
+    """What the robot says to others, to its modules and to whoever gave the goal.
+
+    ``messages`` are JSON for the network; ``status`` is there when it has changed or is to be repeated; ``outcome`` is
+    there at each step from the end of a goal until the next one; ``pose`` is a new estimate, for the action's feedback.
+    """
+
+    messages: tuple[str, ...] = ()
+    status: Status | None = None
+    initial_pose: InitialPose | None = None
+    handed_over: HandedOverObstacles | None = None
+    awards: tuple[Award, ...] = ()
+    reports: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    outcome: Outcome | None = None
+    pose: PoseEstimate | None = None
+
+
+class HitchhikeComm:
+    """Steps the robot's traveller with what arrives, and says what it wants."""
+
+    name: ClassVar[str] = "hitchhike_comm"
+    inputs: ClassVar[frozenset[type]] = frozenset(
+        {
+            *(NetworkText, PoseEstimate, Odometry, OccupancyGrid, FoundObstacles),
+            *(NavigationReport, PlanReport, Observations),
+        }
+    )
+
+    def __init__(
+        self,
+        robot_id: str,
+        params: HitchhikingParameters,
+        sites: Sites,
+        planner: GlobalPlanner,
+        marker_pose: Pose2D,
+        camera: Pose2D,
+        radius_m: float,
+        first_seq: int = 0,
+    ) -> None:
+        """``marker_pose`` and ``camera`` are in base_footprint; ``radius_m`` is the robot's; ``first_seq`` must be
+        greater than any number of an earlier start, or others take what it says for a replay."""
+        self.robot_id = robot_id
+        self._planner = planner
+        self._traveller = Traveller(robot_id, params, sites, self._plan, marker_pose, (camera.x, camera.y), radius_m)
+        self._inbox = Inbox(robot_id)
+        self._seq = first_seq
+        self._events: deque[object] = deque()
+        self._answer_now = False
+        self._grid: OccupancyGrid | None = None
+        self._estimate: Fresh[PoseEstimate] = Fresh("pose", _ESTIMATE_AGE_S)
+        self._told: PoseEstimate | None = None  # as feedback
+        self._odometry = PoseBuffer()
+        self._speed_mps = 0.0
+        self._obstacles = FoundObstacles(())
+        self._navigation = NavigationReport("", "idle")
+        self._planning = PlanReport("", "idle")
+        self._observations = Observations()
+        self._published: Status | None = None
+        self._stepped_at = math.inf
+        self._warned_at: dict[str, float] = {}
+        self._warnings: list[str] = []
+        self._refused = 0
+
+    def listens(self) -> frozenset[type]:
+        """All of its inputs, always."""
+        return self.inputs
+
+    def sense(self, x: object, now: float) -> None:
+        """Store an input; a message that is not repeated by its sender makes a step due at once."""
+        match x:
+            case NetworkText():
+                self._hear(x, now)
+            case PoseEstimate():
+                self._estimate.put(x, x.stamp)
+            case Odometry():
+                self._take_odometry(x)
+            case OccupancyGrid():
+                self._grid = x
+            case FoundObstacles():
+                self._obstacles = x
+            case NavigationReport():
+                self._navigation = x
+            case PlanReport():
+                self._planning = x
+            case Observations():
+                self._observations = x
+            case Refused():
+                self._refuse(x.sender, x.reason, now)
+                if x.what is Odometry:
+                    self._lose_odometry()
+
+    def order(self, order: Order, now: float) -> None:
+        """Somebody wants this robot at a goal, or no longer."""
+        if isinstance(order, (GoalGiven, GoalCancelled)):
+            self._events.append(order)
+            self._answer_now = True
+
+    def next_due(self, now: float) -> float:
+        """At once for what wants an answer, else after a period that is longer while nothing happens."""
+        if self._answer_now or now < self._stepped_at:  # never stepped, or time jumped back
+            return now
+        period_s = _PERIOD_S if self._events else step_period_s(self._published, self._observations.following)
+        return self._stepped_at + period_s - _EARLY_S
+
+    def step(self, now: float) -> HitchhikeCommOutputs:
+        """Take all events and the passing of time."""
+        self._stepped_at, self._answer_now = now, False
+        events, self._events = list(self._events), deque()
+        effects: list[Effect] = []
+        for event in [*events, Tick(self._situation(now))]:
+            effects += self._traveller.step(event, now)
+        status = self._traveller.status(now)
+        outcome = self._traveller.outcome
+        estimate = self._estimate.get(now)
+        new_pose = estimate if estimate is not self._told else None
+        self._told = estimate
+        warnings, self._warnings = tuple(self._warnings), []
+        return HitchhikeCommOutputs(
+            health=self._health(status),
+            messages=tuple(self._sent(effect, now) for effect in effects if isinstance(effect, Send)),
+            status=self._to_publish(status),
+            initial_pose=next((InitialPose(e.estimate) for e in effects if isinstance(e, TakePose)), None),
+            handed_over=next((HandedOverObstacles(e.obstacles) for e in effects if isinstance(e, TakeObstacles)), None),
+            awards=tuple(effect for effect in effects if isinstance(effect, Award)),
+            reports=tuple(effect.text for effect in effects if isinstance(effect, Report)),
+            warnings=warnings,
+            outcome=None if outcome is None else Outcome(*outcome),
+            pose=new_pose,
+        )
+
+    def _take_odometry(self, odometry: Odometry) -> None:
+        try:
+            self._odometry.add(odometry)
+            self._speed_mps = odometry.twist.v
+        except SensorDataError:
+            self._lose_odometry()
+
+    def _lose_odometry(self) -> None:
+        """An unknown speed is not zero; the modules that drive stop by themselves."""
+        self._odometry.clear()
+        self._speed_mps = math.inf
+
+    def _hear(self, heard: NetworkText, now: float) -> None:
+        try:
+            message = self._inbox.receive(heard.text)
+        except MessageError as exc:
+            self._refuse(heard.sender, f"network message dropped: {exc}", now)
+            return
+        if message is not None:
+            self._events.append(message)
+            self._answer_now |= not isinstance(message, _REPEATED)
+
+    def _refuse(self, sender: str, text: str, now: float) -> None:
+        """Count a bad message, and report it once per sender and period; time may have jumped back."""
+        self._refused += 1
+        if not 0.0 <= now - self._warned_at.get(sender, -math.inf) < _REPORT_PERIOD_S:
+            self._warned_at[sender] = now
+            self._warnings.append(f"from {sender}: {text}")
+
+    def _situation(self, now: float) -> Situation:
+        servo = None if self._published is None else self._published.servo
+        markers = self._observations.markers
+        seen = next((o for o in markers if servo is not None and o.marker_id == servo.marker_id), None)
+        # Without a plan there is nothing to say of driving along it.
+        failed = self._planning.state == "failed"
+        plan = self._planning
+        return Situation(
+            estimate=self._estimate.get(now),
+            speed_mps=self._speed_mps,
+            obstacles=self._obstacles.obstacles,
+            navigation=NavigationReport(plan.goal_id, plan.state, plan.reason) if failed else self._navigation,
+            observation=seen,
+            seen_from=self._pose_at(seen.stamp) if seen is not None else None,
+            odom_pose=self._pose_at(now),
+            following=self._observations.following,
+        )
+
+    def _pose_at(self, stamp: float) -> Pose2D | None:
+        """The own pose in ``odom``, None where odometry does not reach."""
+        return self._odometry.at(stamp) if self._odometry.covers(stamp) else None
+
+    def _sent(self, effect: Send, now: float) -> str:
+        self._seq += 1
+        message = stamped(effect.message, self._seq, now)
+        self._inbox.sent(message)  # it comes back on a topic that all share
+        return encode(message)
+
+    def _to_publish(self, status: Status) -> Status | None:
+        """The status, if it is new or is to be repeated."""
+        last = self._published
+        repeats = last is None or not 0.0 <= status.time_stamp - last.time_stamp < _STATUS_PERIOD_S - _EARLY_S
+        if last is not None and not repeats and replace(last, time_stamp=status.time_stamp) == status:
+            return None
+        self._published = status
+        return status
+
+    def _health(self, status: Status) -> Health:
+        counters = {
+            "reason": status.reason,
+            "role": status.role,
+            "dropped": self._refused,
+            **{f"dropped_{cause}": count for cause, count in self._inbox.dropped.items()},
+        }
+        if self._grid is None:
+            return Health(Level.ERROR, "no map received", counters)
+        return Health(Level.OK, status.state, counters)
+
+    def _plan(self, start: Pose2D, goal: Pose2D) -> FloatArray:
+        if self._grid is None:
+            raise PlanningError("no map received yet")
+        return self._planner.plan(self._grid, start, goal)
+
+
+def step_period_s(published: Status | None, following: str) -> float:
+    """How long a robot waits between its steps while nothing arrives, in s.
+
+    Args:
+        published: its newest status, None before the first.
+        following: what servoing does to follow, as :attr:`Status.following`.
+    """
+    if published is None:
+        return _PERIOD_S
+    if published.state == "riding" and following == "following":
+        return _RIDING_PERIOD_S
+    return _IDLE_PERIOD_S if published.goal is None and published.servo is None else _PERIOD_S
