@@ -42,10 +42,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "simulation/lockstep": ("protocol",),
     "simulation/radio": CORE,
     "simulation/physics": (*CORE, "mapping", "servoing", "simulation", "simulation/people", "simulation/world_file"),
-    "simulation/grid": (
-        *(*CORE, "mapping", "planning", "protocol"),
-        *("simulation", "simulation/people", "simulation/world_file", "simulation/radio", "simulation/lockstep"),
-    ),
+    "simulation/grid": (*CORE, "mapping", "planning", "protocol", "simulation/radio"),
     "simulation/composed": (*ROBOT, "simulation", "simulation/physics", "simulation/people", "simulation/world_file"),
     # Each room imports those before it; faults are about the protocol, and import no other room.
     **{room: (*SIMULATION, *ROOMS[:place]) for place, room in enumerate(ROOMS)},

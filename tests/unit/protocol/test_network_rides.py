@@ -27,7 +27,9 @@ from hitchhike_ros.protocol.machine import Send
 from hitchhike_ros.protocol.matching import Boardings
 from hitchhike_ros.protocol.messages import Accept, Beacon, Lock, Message, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.simulation.grid.world import Errand, GridRobot, GridWorld, GridWorldParameters
+from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
+from hitchhike_ros.simulation.grid.robot import Errand, GridRobot
+from hitchhike_ros.simulation.grid.world import GridWorld
 from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters
 
 _RESOLUTION = 0.25

@@ -21,7 +21,9 @@ from hitchhike_ros.experiments.faults.invariants import BrokenInvariantError, Re
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.simulation.grid.world import Errand, GridWorld, GridWorldParameters
+from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
+from hitchhike_ros.simulation.grid.robot import Errand
+from hitchhike_ros.simulation.grid.world import GridWorld
 from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters, Partition
 
 SEVERE = 1_000_000

@@ -27,7 +27,8 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
-from hitchhike_ros.simulation.grid.world import GridRobot, GridWorld
+from hitchhike_ros.simulation.grid.robot import GridRobot
+from hitchhike_ros.simulation.grid.world import GridWorld
 
 # Ways that a driver counts and its rider does not: it stops a little after it lost the rider, and localizes with noise.
 _METRES, _METRES_SHARE = 3.0, 0.06

@@ -17,7 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 
 from hitchhike_ros.mapping.grid import FREE
-from hitchhike_ros.simulation.grid.world import COUPLED_STATES, QUIET_STATES, GridRobot, GridWorld
+from hitchhike_ros.simulation.grid.robot import COUPLED_STATES, QUIET_STATES, GridRobot
+from hitchhike_ros.simulation.grid.world import GridWorld
 
 # Told apart by the colour-blind too (Okabe and Ito).
 _ALONE, _DRIVER, _RIDER, _SEEKER, _IDLE, _DEAD = "#56B4E9", "#0072B2", "#D55E00", "#E69F00", "#999999", "#000000"

@@ -29,7 +29,9 @@ from hitchhike_ros.mapping.sites import (
     require_unique,
 )
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.simulation.grid.world import Errand, GridWorld, GridWorldParameters
+from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
+from hitchhike_ros.simulation.grid.robot import Errand
+from hitchhike_ros.simulation.grid.world import GridWorld
 from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters, check_network
 
 Count = Annotated[int, msgspec.Meta(ge=1)]

@@ -17,8 +17,10 @@ from hitchhike_ros.protocol.machine import Send, Tick
 from hitchhike_ros.protocol.messages import Decouple, Message
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.grid.body import Body
+from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
 from hitchhike_ros.simulation.grid.paths import GridPaths, corners
-from hitchhike_ros.simulation.grid.world import Errand, GridWorld, GridWorldParameters
+from hitchhike_ros.simulation.grid.robot import Errand
+from hitchhike_ros.simulation.grid.world import GridWorld
 from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters
 
 BOX = Obstacle("box", 30.0, 9.0, 1.0, 3.0)
