@@ -9,12 +9,15 @@ from typing import ClassVar
 
 from hitchhike_ros.core.datatypes import FloatArray, Odometry, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import MessageError, PlanningError, SensorDataError
+from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.pose_buffer import PoseBuffer
+from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, InitialPose, NetworkText, PlanReport
 from hitchhike_ros.modules.module import Fresh, Health, Level, Order, Outputs, Refused
-from hitchhike_ros.planning.global_planner import GlobalPlanner
+from hitchhike_ros.modules.robot_files import RobotFiles
+from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.agent import Traveller
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
@@ -123,6 +126,21 @@ class HitchhikeComm:
         self._warned_at: dict[str, float] = {}
         self._warnings: list[str] = []
         self._refused = 0
+
+    @classmethod
+    def build(cls, files: RobotFiles) -> HitchhikeComm:
+        """That of the robot that ``files`` describe."""
+        limits = files.load(RobotLimits, "robot")
+        return cls(
+            files.robot_id,
+            files.load(HitchhikingParameters, "hitchhiking"),
+            files.sites,
+            GlobalPlanner(files.load(GlobalPlannerParameters, "global_planner"), limits),
+            marker_pose=pose_from_matrix(files.mount("marker")),
+            camera=pose_from_matrix(files.mount("camera")),
+            radius_m=limits.circumscribed_m,
+            first_seq=files.first_seq,
+        )
 
     def listens(self) -> frozenset[type]:
         """All of its inputs, always."""

@@ -17,6 +17,7 @@ from hitchhike_ros.core.datatypes import Positive, TeleopMode, Twist2D
 from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.modules.inputs import NavigationCommand, ServoingCommand, TeleopCommand
 from hitchhike_ros.modules.module import ORDER_MAX_AGE_S, Fresh, Health, Level, Order, Outputs, Refused
+from hitchhike_ros.modules.robot_files import RobotFiles
 from hitchhike_ros.protocol.status import Status
 
 Source = Literal["teleop", "servoing", "navigation"]
@@ -71,6 +72,11 @@ class VelocityMux:
         self._let_go = True  # of the keys, since the robot was last guided
         self._senseless: set[Source] = set()  # sources whose newest command was refused
         self._refused: Counter[Source] = Counter()
+
+    @classmethod
+    def build(cls, files: RobotFiles) -> VelocityMux:
+        """The mux of the robot that ``files`` describe."""
+        return cls(files.load(VelocityMuxParameters, "velocity_mux"), files.load(RobotLimits, "robot"))
 
     def listens(self) -> frozenset[type]:
         """All of its inputs, always."""

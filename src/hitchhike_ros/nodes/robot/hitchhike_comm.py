@@ -34,46 +34,14 @@ from __future__ import annotations
 
 import rospy
 
-from hitchhike_ros.core.errors import WorldFileError
-from hitchhike_ros.core.geometry import pose_from_matrix
-from hitchhike_ros.core.parameters import convert
-from hitchhike_ros.core.robot_model import RobotLimits, mount
-from hitchhike_ros.mapping.sites import load_hitchhiking, load_sites
 from hitchhike_ros.modules.hitchhike_comm import HitchhikeComm, HitchhikeCommOutputs
 from hitchhike_ros.modules.module import Outputs
-from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.ros_io.awards import AwardKeeper
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
-from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.node_files import NodeFiles
 from hitchhike_ros.ros_io.topics import HITCHHIKE_COMM
-
-
-def build_module() -> HitchhikeComm:
-    """The module, by the parameter server.
-
-    Raises:
-        HitchhikeError: a parameter or a file that one names cannot be used.
-    """
-    world = path_parameter("world")
-    robot_id = str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))
-    own = load_hitchhiking(world, robot_id)
-    convert(own, HitchhikingParameters, world, f"robots.{robot_id}.hitchhiking", WorldFileError)
-    limits = node_parameters(RobotLimits, "robot")
-    urdf = path_parameter("urdf")
-    return HitchhikeComm(
-        robot_id,
-        node_parameters(HitchhikingParameters, "hitchhiking", own),
-        load_sites(world),
-        GlobalPlanner(node_parameters(GlobalPlannerParameters, "global_planner"), limits),
-        marker_pose=pose_from_matrix(mount(urdf, "marker")),
-        camera=pose_from_matrix(mount(urdf, "camera")),
-        radius_m=limits.circumscribed_m,
-        # Starting from the clock keeps a restarted robot from looking like a replay of its old self.
-        first_seq=int(rospy.get_time() * 1000),
-    )
 
 
 class Surroundings:
@@ -113,7 +81,7 @@ class Surroundings:
 
 def build() -> ModuleHost:
     """The node's host."""
-    module = build_module()
+    module = HitchhikeComm.build(NodeFiles())
     surroundings = Surroundings(module.robot_id)
     host = ModuleHost(Single(module), {module.name: HITCHHIKE_COMM}, orders=False, also=surroundings.take)
     surroundings.serve(host)

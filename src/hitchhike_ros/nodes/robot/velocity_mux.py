@@ -18,18 +18,16 @@ TF: none.
 
 from __future__ import annotations
 
-from hitchhike_ros.core.robot_model import RobotLimits
-from hitchhike_ros.modules.velocity_mux import VelocityMux, VelocityMuxParameters
+from hitchhike_ros.modules.velocity_mux import VelocityMux
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
-from hitchhike_ros.ros_io.parameters import node_parameters
+from hitchhike_ros.ros_io.node_files import NodeFiles
 from hitchhike_ros.ros_io.topics import VELOCITY_MUX
 
 
 def build() -> ModuleHost:
-    """The node's host; its parameters are those of the parameter server."""
-    mux = VelocityMux(node_parameters(VelocityMuxParameters, "velocity_mux"), node_parameters(RobotLimits, "robot"))
-    return ModuleHost(Single(mux), {mux.name: VELOCITY_MUX})
+    """The node's host."""
+    return ModuleHost(Single(VelocityMux.build(NodeFiles())), {VelocityMux.name: VELOCITY_MUX})
 
 
 def main() -> None:
