@@ -19,7 +19,8 @@ from pathlib import Path
 import msgspec
 
 from hitchhike_ros.core.errors import LedgerError
-from hitchhike_ros.experiments.report.terminal import has_colours, table
+from hitchhike_ros.experiments.report.screen import console, show
+from hitchhike_ros.experiments.report.tables import Table
 from hitchhike_ros.protocol.award_ledger import AwardLedger, Credit, totals
 from hitchhike_ros.ros_io.awards import default_ledger
 
@@ -43,14 +44,14 @@ def main() -> None:
             content = {"drivers": totals(credits), "rides": credits}
             print(msgspec.json.format(msgspec.json.encode(content), indent=2).decode())
         else:
-            print(_tables(credits, has_colours(sys.stdout)) if credits else "No rides.")
+            show(console(), *_tables(credits)) if credits else print("No rides.")
         sys.stdout.flush()
     except BrokenPipeError:
         # A pager may be left before the end; what Python flushes when it ends goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _tables(credits: list[Credit], colours: bool) -> str:
+def _tables(credits: list[Credit]) -> list[Table]:
     """Totals and rides as a person reads them."""
     drivers = [[_shown(t.driver), str(t.rides), f"{t.ride_m:.1f} m", f"{t.points:.1f}"] for t in totals(credits)]
     rides = [
@@ -63,9 +64,10 @@ def _tables(credits: list[Credit], colours: bool) -> str:
         ]
         for c in credits
     ]
-    of_drivers = table("Drivers", ["rides", "ridden", "points"], drivers, colours)
-    of_rides = table("Rides", ["driver", "hitchhiker", "ridden", "points", "id"], rides, colours)
-    return f"{of_drivers}\n\n{of_rides}"
+    return [
+        Table("Drivers", ["", "rides", "ridden", "points"], drivers),
+        Table("Rides", ["", "driver", "hitchhiker", "ridden", "points", "id"], rides),
+    ]
 
 
 def _shown(name: str) -> str:

@@ -14,7 +14,6 @@ Measures what the package does, with peers beside it in the same run where there
 from __future__ import annotations
 
 import argparse
-import platform
 import sys
 from pathlib import Path
 
@@ -24,7 +23,8 @@ import rospkg
 from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.experiments.bench.registry import BENCHMARKS, Options, load
 from hitchhike_ros.experiments.report.ride_report import figure_table
-from hitchhike_ros.experiments.report.terminal import has_colours
+from hitchhike_ros.experiments.report.screen import ProgressBars, console, show
+from hitchhike_ros.experiments.report.versions import versions
 from hitchhike_ros.experiments.scoring.figures import Figure, all_hold
 
 
@@ -49,32 +49,18 @@ def main() -> None:
         parser.error(f"--output {arguments.output}: {exc.strerror}, expected a folder that can be written")
     options = Options(package, arguments.data, arguments.output, arguments.seed, arguments.quick, arguments.seeds)
     figures: dict[str, list[Figure]] = {}
+    screen, progress = console(), ProgressBars(console(sys.stderr))
     for name in arguments.names:
         try:
-            findings = load(name).run(options, show_progress)
+            with progress:
+                findings = load(name).run(options, progress)
         except HitchhikeError as exc:
             sys.exit(f"bench {name}: {exc}")
-        clear_progress()
         figures[name] = list(findings.figures)
-        tables = [*findings.tables, figure_table(figures[name], has_colours(sys.stdout), "peer")]
-        print(f"{name}\n" + "\n\n".join(tables) + "\n", flush=True)
+        screen.print(name)
+        show(screen, *findings.tables, figure_table(figures[name], "peer"))
     if arguments.json is not None:
-        versions = {"python": platform.python_version(), "machine": platform.machine()}
-        report = {"versions": versions, "seed": options.seed, "quick": options.quick, "figures": figures}
+        report = {"versions": versions(package), "seed": options.seed, "quick": options.quick, "figures": figures}
         arguments.json.write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=2))
     if arguments.check and not all(all_hold(found) for found in figures.values()):
         sys.exit(1)
-
-
-def show_progress(step: str, done: int, of: int) -> None:
-    """A living line on a terminal, else a line now and then."""
-    if sys.stderr.isatty():
-        print(f"\r{step}: {done} of {of}\x1b[K", end="", file=sys.stderr, flush=True)
-    elif of <= 10 or done == of or done % max(of // 10, 1) == 0:
-        print(f"{step}: {done} of {of}", file=sys.stderr, flush=True)
-
-
-def clear_progress() -> None:
-    """What follows begins at the beginning of the line."""
-    if sys.stderr.isatty():
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -20,8 +20,8 @@ from pathlib import Path
 import msgspec
 
 from hitchhike_ros.core.errors import HitchhikeError
-from hitchhike_ros.experiments.report.cost_tables import ledger_texts
-from hitchhike_ros.experiments.report.terminal import has_colours
+from hitchhike_ros.experiments.report.cost_tables import ledger
+from hitchhike_ros.experiments.report.screen import console, show
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
 from hitchhike_ros.experiments.scoring.cost_ledger import compare, cost_figures, modules_off, ride_steps
 from hitchhike_ros.experiments.scoring.figures import all_hold
@@ -41,7 +41,10 @@ def main() -> None:
     except HitchhikeError as exc:
         sys.exit(f"costs: {exc}")
     figures = cost_figures(ridden, alone)
-    print(_json(ridden, alone) if arguments.json else "\n\n".join(ledger_texts(ridden, alone, has_colours(sys.stdout))))
+    if arguments.json:
+        print(_json(ridden, alone))
+    else:
+        show(console(), *ledger(ridden, alone))
     sys.exit(1 if arguments.check and not all_hold(figures) else 0)
 
 

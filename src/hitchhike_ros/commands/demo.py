@@ -39,7 +39,7 @@ import rospkg
 from hitchhike_ros.commands.launches import RideProcesses, interrupt, say
 from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.experiments.report.ride_report import summary_table
-from hitchhike_ros.experiments.report.terminal import has_colours
+from hitchhike_ros.experiments.report.screen import console, show
 from hitchhike_ros.experiments.scoring.figures import Figure, summarize
 from hitchhike_ros.simulation.world_file import WorldFile, load_world
 
@@ -104,7 +104,7 @@ def _summarize(options: Options, seeds: Sequence[int], reports: Sequence[dict[st
     if options.runs > 1 and runs:
         completed = sum(report["completed"] for report in reports)
         print(f"\n{completed} of {options.runs} rides completed\n")
-        print(summary_table(summarize(runs), [report["seed"] for report in reports], has_colours(sys.stdout)))
+        show(console(), summary_table(summarize(runs), [report["seed"] for report in reports]))
     if options.json is not None:
         content = {
             "world": options.world.path.name,

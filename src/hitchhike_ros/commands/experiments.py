@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import signal
 import socket
 import sys
@@ -33,15 +32,16 @@ from typing import NoReturn
 import msgspec
 import rospkg
 
-from hitchhike_ros.commands.bench import clear_progress, show_progress
 from hitchhike_ros.commands.launches import interrupt
 from hitchhike_ros.commands.scenario_runs import RECORD, drive
 from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.experiments.bench.registry import EXPERIMENTS, Options, load
-from hitchhike_ros.experiments.report.cost_tables import ledger_texts
+from hitchhike_ros.experiments.report.cost_tables import ledger
 from hitchhike_ros.experiments.report.html_report import write_report
 from hitchhike_ros.experiments.report.ride_report import figure_table, summary_table
-from hitchhike_ros.experiments.report.terminal import has_colours
+from hitchhike_ros.experiments.report.screen import ProgressBars, console, show, text_of
+from hitchhike_ros.experiments.report.tables import Table
+from hitchhike_ros.experiments.report.versions import versions
 from hitchhike_ros.experiments.scenarios.ride_record import load_record
 from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario, in_order, load_scenarios
 from hitchhike_ros.experiments.scoring.figures import Figure, Summary, all_hold
@@ -57,7 +57,7 @@ class _Done:
     name: str
     figures: Sequence[Figure] | Sequence[Summary]
     ok: bool
-    tables: Sequence[str] = ()
+    tables: Sequence[Table] = ()
 
 
 def main() -> NoReturn:
@@ -67,11 +67,9 @@ def main() -> NoReturn:
     try:
         sys.exit(_run())
     except HitchhikeError as exc:
-        clear_progress()
         print(f"experiments: {exc}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
-        clear_progress()
         print("\nInterrupted; everything that was started has ended. The same command goes on.", file=sys.stderr)
         sys.exit(130)
 
@@ -92,7 +90,7 @@ def _run() -> int:
             _leave(report, results, done)
     done += [_Done(result.scenario.name, result.figures, result.ok) for result in results]
     if arguments.json is not None:
-        _write_json(arguments, done)
+        _write_json(arguments, package, done)
     broken = [d.name for d in done if not d.ok or (arguments.check and not all_hold(d.figures))]
     ended = sum(d.ok for d in done)
     print(f"{ended} of {len(done)} experiments ended as they should; {report}", flush=True)
@@ -119,19 +117,18 @@ def _drive_all(
         print(where, flush=True)
         result = drive(scenario, seeds, report, arguments.port, lambda text: print(text, flush=True))
         results.append(result)
-        print(f"\n{summary_table(result.figures, list(seeds), has_colours(sys.stdout))}\n", flush=True)
+        show(console(), summary_table(result.figures, list(seeds)))
 
 
 def _grid(name: str, arguments: argparse.Namespace, package: Path, report: Path) -> _Done:
     options = Options(package, _data(package), report, arguments.seed, seeds=arguments.runs)
-    findings = load(name).run(options, show_progress)
-    clear_progress()
-    figures = list(findings.figures)
-    texts = [*findings.tables, figure_table(figures, has_colours(sys.stdout))]
-    print("\n\n".join([name, *texts]) + "\n", flush=True)
-    plain = [*findings.tables, figure_table(figures, False)]
-    (report / f"{name}.txt").write_text("\n\n".join(plain) + "\n", encoding="utf-8")
-    return _Done(name, figures, True, plain)
+    with ProgressBars(console(sys.stderr)) as progress:
+        findings = load(name).run(options, progress)
+    tables = [*findings.tables, figure_table(findings.figures)]
+    console().print(name)
+    show(console(), *tables)
+    (report / f"{name}.txt").write_text(text_of(*tables) + "\n", encoding="utf-8")
+    return _Done(name, findings.figures, True, tables)
 
 
 def _data(package: Path) -> Path:
@@ -146,7 +143,7 @@ def _leave(report: Path, results: Sequence[ScenarioResult], others: Sequence[_Do
     print(f"Report: {write_report(report, results, extras)}", flush=True)
 
 
-def _ledgers(results: Sequence[ScenarioResult]) -> Iterator[tuple[str, list[str]]]:
+def _ledgers(results: Sequence[ScenarioResult]) -> Iterator[tuple[str, list[Table]]]:
     """By the names of those that were driven alone: what the ride costs beside that, of the first seed of both."""
     by_name = {result.scenario.name: result for result in results if result.ok}
     for name, alone in by_name.items():
@@ -154,13 +151,12 @@ def _ledgers(results: Sequence[ScenarioResult]) -> Iterator[tuple[str, list[str]
         if ridden is None or ridden.scenario.launch.get("drives"):
             continue
         records = [load_record(Path(result.runs[0].folder) / RECORD) for result in (ridden, alone)]
-        yield name, ledger_texts(records[0], records[1], False)
+        yield name, ledger(records[0], records[1])
 
 
-def _write_json(arguments: argparse.Namespace, done: Sequence[_Done]) -> None:
-    versions = {"python": platform.python_version(), "machine": platform.machine()}
+def _write_json(arguments: argparse.Namespace, package: Path, done: Sequence[_Done]) -> None:
     content = {
-        "versions": versions,
+        "versions": versions(package),
         "seed": arguments.seed,
         "runs": arguments.runs,
         "ok": {d.name: d.ok for d in done},

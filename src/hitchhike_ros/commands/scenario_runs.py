@@ -12,7 +12,7 @@ import msgspec
 from hitchhike_ros.commands.launches import RideProcesses
 from hitchhike_ros.commands.octomaps import newest_octomaps
 from hitchhike_ros.core.errors import HitchhikeError, InputFileError
-from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
+from hitchhike_ros.experiments.scenarios.ride_record import load_record
 from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario
 from hitchhike_ros.experiments.scoring.cost_ledger import cost_figures
 from hitchhike_ros.experiments.scoring.figures import Figure
@@ -80,7 +80,7 @@ def _drive_one(scenario: RideScenario, world: WorldFile, seed: int, folder: Path
     # The mode may stand in the file that the scenario's world is based on.
     local = all(entry.hitchhiking.get("mode", "local") == "local" for entry in world.robots.values())
     scored = score(scenario, record, markers_of(world), goals, local)
-    sim_s, wall_s = _lasted(record)
+    sim_s, wall_s = record.lasted
     # Who steps between the two is braked for, and the gap is not held.
     figures = [replace(f, bound=None) if world.people and f.name == "gap_error_rms" else f for f in scored.figures]
     if scenario.launch.get("map_3d") and scenario.rides:
@@ -121,11 +121,6 @@ def _octomap_figures(folder: Path, world: WorldFile, rides: Sequence[NetworkRide
 def markers_of(world: WorldFile) -> dict[int, str]:
     """Whose back carries which marker."""
     return {entry.marker: name for name, entry in world.robots.items() if entry.marker is not None}
-
-
-def _lasted(record: RideRecord) -> tuple[float, float]:
-    clock = record.clock
-    return (clock[-1].stamp - clock[0].stamp, clock[-1].wall_s - clock[0].wall_s) if clock else (0.0, 0.0)
 
 
 def _digest(scenario: RideScenario, world: WorldFile) -> str:

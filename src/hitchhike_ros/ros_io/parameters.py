@@ -43,6 +43,23 @@ def path_parameter(name: str) -> Path:
     return path
 
 
+def folder_parameter(name: str) -> Path:
+    """The folder named by private parameter ``name``, which is made where it is missing.
+
+    Raises:
+        ParameterError: the parameter is missing, or the folder cannot be made.
+    """
+    value = str(rospy.get_param(f"~{name}", ""))
+    if not value:
+        raise ParameterError(rospy.get_name(), f"~{name}", value, "the path of a folder")
+    path = Path(value)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        raise ParameterError(rospy.get_name(), f"~{name}", value, f"a folder to write to ({exc.strerror})") from exc
+    return path
+
+
 def network_topic(name: str) -> str:
     """The topic that private parameter ``name`` says, where the robots talk with each other.
 

@@ -17,7 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Picture
 
 from hitchhike_ros.experiments.bench.registry import Findings, Options
-from hitchhike_ros.experiments.report.terminal import Cell, table
+from hitchhike_ros.experiments.report.screen import text_of
+from hitchhike_ros.experiments.report.tables import Table
 from hitchhike_ros.experiments.scenarios.fleet_runs import FleetRun, FleetTrip, run_fleet
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import write_results
@@ -53,7 +54,7 @@ def run(options: Options, progress: Progress) -> Findings:
         runs.append(run_fleet(scenario.sized(size), told))
     write_results(options.output / "fleet_trips.json", {str(r.robots): r.trips for r in runs})
     tables = _tables(runs)
-    (options.output / "fleet.txt").write_text("\n\n".join(tables) + "\n", encoding="utf-8")
+    (options.output / "fleet.txt").write_text(text_of(*tables) + "\n", encoding="utf-8")
     _draw(options.output / "fleet.png", runs)
     if not options.quick:
         _show(options.output, scenario.sized(_PICTURE_ROBOTS), progress)
@@ -99,8 +100,8 @@ def modules_on(trips: Sequence[FleetTrip]) -> float:
     return sum(trip.took_s - trip.coupled_s for trip in trips) / alone if alone else 1.0
 
 
-def _tables(runs: Sequence[FleetRun]) -> list[str]:
-    costs: list[list[Cell]] = [
+def _tables(runs: Sequence[FleetRun]) -> list[Table]:
+    costs: list[list[str]] = [
         [
             f"{r.robots} robots",
             f"{r.real_time_factor:.0f} ×",
@@ -115,8 +116,8 @@ def _tables(runs: Sequence[FleetRun]) -> list[str]:
         ]
         for r in runs
     ]
-    head = ["real time", "per robot s", "in range", "sent", "received", "rides", "ridden", "delay", "modules on"]
-    pays: list[list[Cell]] = []
+    head = ["", "real time", "per robot s", "in range", "sent", "received", "rides", "ridden", "delay", "modules on"]
+    pays: list[list[str]] = []
     for low, high in _LENGTHS_M:
         for r in runs:
             trips = [trip for trip in r.trips if low <= trip.metres < high]
@@ -139,8 +140,8 @@ def _tables(runs: Sequence[FleetRun]) -> list[str]:
                     "" if not riders else "pays" if off > late else "does not pay",
                 ]
             )
-    columns = ["trips", "with a ride", "ridden", "delay", "riders' delay", "modules on", ""]
-    return [table("Fleets", head, costs, False), table("When riding pays: trips of", columns, pays, False)]
+    columns = ["", "trips", "with a ride", "ridden", "delay", "riders' delay", "modules on", ""]
+    return [Table("Fleets", head, costs), Table("When riding pays: trips of", columns, pays)]
 
 
 def _draw(path: Path, runs: Sequence[FleetRun]) -> None:

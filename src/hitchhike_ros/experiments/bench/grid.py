@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Picture
 
 from hitchhike_ros.experiments.bench.registry import Findings, Options
-from hitchhike_ros.experiments.report.terminal import Cell, Text, table
+from hitchhike_ros.experiments.report.tables import Table, mark
 from hitchhike_ros.experiments.scenarios.grid_waits import DRIVERS, Job, Mode, Outcome, make_world, orders, scenario_of
 from hitchhike_ros.experiments.scenarios.grid_waits import run as run_one
 from hitchhike_ros.experiments.scenarios.progress import Progress
@@ -172,9 +172,9 @@ def _total(outcomes: Sequence[Outcome]) -> float:
     return float(sum(outcome.wait_s for outcome in outcomes))
 
 
-def _tables(results: _Results) -> list[str]:
+def _tables(results: _Results) -> list[Table]:
     """Beside the paper's, of one seed."""
-    waits: list[list[Cell]] = []
+    waits: list[list[str]] = []
     for label, outcomes, paper in (
         ("§8.1.1 no drivers, 3 runs", results.no_drivers, _PAPER_NO_DRIVERS),
         ("§8.1.2 denied by priority, 20, 30, 40 m", results.denied, _PAPER_DENIED),
@@ -189,37 +189,37 @@ def _tables(results: _Results) -> list[str]:
         label = f"§8.1.3 with one, {factor:g} × the speed"
         waits.append([label, "", f"{outcome.wait_s:.1f}", f"{_PAPER_REACHED_S / factor:.1f}"])
     return [
-        table("Waits of the hitchhiker (s)", ["runs", "in all", "paper"], waits, False),
+        Table("Waits of the hitchhiker (s)", ["", "runs", "in all", "paper"], waits),
         _delay_table(results),
         _table_1(results),
     ]
 
 
-def _delay_table(results: _Results) -> str:
-    rows: list[list[Cell]] = []
+def _delay_table(results: _Results) -> Table:
+    rows: list[list[str]] = []
     for delay, outcomes in results.delays.items():
         alone = [o.wait_s for o in outcomes if o.job.experiment == "no_drivers"]
         denied = [o.wait_s for o in outcomes if o.job.experiment == "priority"]
         tuned = [f"{o.wait_s:.1f}" for o in outcomes if o.job.experiment == "speed"]
         rows.append([f"{delay:g} s", f"{3.0 * alone[0]:.1f}", f"{sum(denied):.1f}", *tuned])
     factors = [f"{o.job.factor:g} ×" for o in next(iter(results.delays.values())) if o.job.experiment == "speed"]
-    return table("Delay each way", ["no drivers, 3 runs", "denied, 3 runs", *factors], rows, False)
+    return Table("Delay each way", ["", "no drivers, 3 runs", "denied, 3 runs", *factors], rows)
 
 
-def _table_1(results: _Results) -> str:
+def _table_1(results: _Results) -> Table:
     """P18 Table 1, with a mark for right and wrong."""
-    rows: list[list[Cell]] = []
+    rows: list[list[str]] = []
     for row in _rows(results):
         others = [k + 1 for k in range(3) if k != row.nearest]
         near = row.nearest + 1
         order = f"d{near}<d{others[0]}<d{others[1]} or d{near}<d{others[1]}<d{others[0]}"
         scores = ">".join(f"P{k + 1}" for k in row.profiles)
-        cells: list[Cell] = [f"{order}   {scores}"]
+        cells: list[str] = [f"{order}   {scores}"]
         for mode in _MODES:
             names = dict.fromkeys("nobody" if k is None else f"P{k + 1}" for k in row.chosen[mode])
-            cells.append(f"{', '.join(names)} {'✓' if row.right(mode) else '✗'}")
-        rows.append([*cells, Text("as the paper" if row.as_paper else "not as the paper")])
-    return table("Table 1: whose profile drives", ["without a network", "with it", ""], rows, False)
+            cells.append(f"{', '.join(names)} {mark(row.right(mode))}")
+        rows.append([*cells, "as the paper" if row.as_paper else "not as the paper"])
+    return Table("Table 1: whose profile drives", ["", "without a network", "with it", ""], rows)
 
 
 def _pictures(options: Options, results: _Results, progress: Progress) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from hitchhike_ros.experiments.report.tables import Table
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
 
@@ -49,7 +50,7 @@ class Findings:
     """Figures, and the tables that stand beside them."""
 
     figures: Sequence[Figure]
-    tables: Sequence[str] = ()
+    tables: Sequence[Table] = ()
 
 
 class Benchmark(Protocol):

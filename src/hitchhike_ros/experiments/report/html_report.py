@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
 
 from hitchhike_ros.core.errors import HitchhikeError, MessageError
 from hitchhike_ros.experiments.report.report_map import MapPicture, data_uri, map_picture, replay
@@ -30,6 +29,7 @@ from hitchhike_ros.experiments.report.report_plots import (
 )
 from hitchhike_ros.experiments.report.ride_frames import Frame, find_frames
 from hitchhike_ros.experiments.report.ride_report import bound, label, number
+from hitchhike_ros.experiments.report.tables import BAD, GOOD, Table, mark
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
 from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario
 from hitchhike_ros.experiments.scoring.boxes import match_boxes
@@ -49,20 +49,6 @@ NAME = "report.html"
 # Messages that are sent all the time.
 _REPEATED = (Beacon, Driver, Ack)
 _MODULE_ON, _MODULE_OFF = "●", "○"
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of texts: the first column to the left, the others to the right. ``note`` stands under it."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    note: str = ""
-
-
-# What others add to an experiment: a table, HTML of theirs, or plain text as for a terminal.
-Extra = Table | Markup | str
 
 
 @dataclass(frozen=True)
@@ -123,7 +109,7 @@ class _Experiment:
     runs: tuple[_RunView, ...]
     shown: _Shown | None
     missing: str  # why nothing is shown
-    extras: tuple[Extra, ...]
+    extras: tuple[Table, ...]
     command: str
 
     @property
@@ -133,7 +119,7 @@ class _Experiment:
 
 
 def write_report(
-    folder: Path, results: Sequence[ScenarioResult], extras: Mapping[str, Sequence[Extra]] | None = None
+    folder: Path, results: Sequence[ScenarioResult], extras: Mapping[str, Sequence[Table]] | None = None
 ) -> Path:
     """Write ``report.html`` to ``folder``, in which the runs are.
 
@@ -149,8 +135,6 @@ def write_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.tests["table"] = lambda extra: isinstance(extra, Table)
-    environment.tests["markup"] = lambda extra: isinstance(extra, Markup)
     text = environment.get_template("report.html").render(
         experiments=experiments,
         others={name: list(parts) for name, parts in extras.items() if name not in names},
@@ -158,13 +142,14 @@ def write_report(
         command=_command([result.scenario.name for result in results], _seeds(results)),
         seeds=_seeds(results),
         kinds=[*KINDS, TROUBLE],
+        marks={GOOD: "good", BAD: "bad"},
     )
     path = folder / NAME
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def _experiment(folder: Path, result: ScenarioResult, extras: tuple[Extra, ...]) -> _Experiment:
+def _experiment(folder: Path, result: ScenarioResult, extras: tuple[Table, ...]) -> _Experiment:
     shown, missing = None, "no run left a record"
     for run in result.runs:
         try:
@@ -289,12 +274,12 @@ def _box_tables(record: RideRecord, rides: Iterable[NetworkRide], grid: Occupanc
             true, found = match.true, match.found
             row = [true.id, f"{true.x:.2f}, {true.y:.2f}", f"{true.w:.2f} × {true.b:.2f}"]
             if found is None or match.place_m is None or match.size_m is None:
-                rows.append([*row, "not found", "", "", "", "", "✗"])
+                rows.append([*row, "not found", "", "", "", "", mark(False)])
                 continue
             pixels = f"{match.place_m / grid.resolution:.1f}" if grid is not None else ""
             well = max(match.place_m, match.size_m) <= MAX_BOX_ERROR_M
             row += [f"{found.x:.2f}, {found.y:.2f}", f"{found.w:.2f} × {found.b:.2f}", f"{match.place_m:.3f}"]
-            rows.append([*row, pixels, f"{match.size_m:.3f}", "✓" if well else "✗"])
+            rows.append([*row, pixels, f"{match.size_m:.3f}", mark(well)])
         extra = len(record.robots[name].obstacles) - sum(row[3] != "not found" for row in rows)
         note = f"{extra} more in its map that are in no place of a true one." if extra else ""
         header = ("true corner (m)", "size (m)", "handed over corner (m)", "size (m)")

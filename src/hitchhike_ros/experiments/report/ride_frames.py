@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
 from hitchhike_ros.protocol.status import Status
 
 FOLDER = "frames"
@@ -69,6 +71,16 @@ class FramePlan:
             return False
         self._taken[ride_id] = self._taken.get(ride_id, 0) + 1
         return True
+
+
+def frames_due(record: RideRecord, plans: Mapping[str, FramePlan], now: float) -> dict[str, str]:
+    """Of the robots that have a plan those of whose camera a frame is to be kept at ``now``, and their states."""
+    due = {}
+    for name, plan in plans.items():
+        status = record.robots[name].newest_status
+        if status is not None and plan.due(status, record.ridden_m(name), now):
+            due[name] = status.state
+    return due
 
 
 def frame_name(stamp: float, robot: str, state: str) -> str:

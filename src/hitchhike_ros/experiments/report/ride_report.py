@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
+from rich.progress_bar import ProgressBar
+from rich.text import Text
+
 from hitchhike_ros.core.datatypes import Obstacle
-from hitchhike_ros.experiments.report.terminal import Cell, Segment, Text, bar, fit, table
+from hitchhike_ros.experiments.report.screen import Line, Part
+from hitchhike_ros.experiments.report.tables import Table, mark
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
 from hitchhike_ros.experiments.scoring.boxes import BoxMatch
 from hitchhike_ros.experiments.scoring.figures import Figure, Summary
@@ -16,6 +20,8 @@ from hitchhike_ros.experiments.scoring.rides import Ride
 from hitchhike_ros.experiments.scoring.tracks import gap_now
 from hitchhike_ros.protocol.status import ModuleSwitches
 
+ARRIVED = "Arrived"
+"""The step at which every robot is at its goal."""
 _STEPS = {
     "requesting": "Asking for a ride",
     "locking": "Taking the offer",
@@ -51,7 +57,7 @@ def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | No
     sim_s = record.clock[-1].stamp if record.clock else None
     if ride is None:
         if all(robot.arrived for robot in record.robots.values()):
-            return Progress("Arrived", sim_s=sim_s, real_time_factor=real_time_factor)
+            return Progress(ARRIVED, sim_s=sim_s, real_time_factor=real_time_factor)
         started = any(robot.newest_status is not None for robot in record.robots.values())
         return Progress("Waiting for a request" if started else "Starting", None, sim_s=sim_s)
     rider = record.robots[ride.hitchhiker].newest_status
@@ -62,7 +68,7 @@ def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | No
         if rider.state == "riding" and driver is not None:
             step = _RIDING_STEPS.get(driver.state, step)
     elif all(robot.arrived for robot in record.robots.values()):
-        step = "Arrived"
+        step = ARRIVED
     told = driver.ride if driver is not None else None
     aboard = ride.riding_at is not None and ride.released_at is None
     return Progress(
@@ -77,22 +83,27 @@ def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | No
     )
 
 
-def live_line(now: Progress, columns: int, colours: bool) -> str:
-    """One line of at most ``columns`` characters."""
-    segments = [Segment((Text(now.step.ljust(_STEP_WIDTH), "bold"),), 0)]
+def live_line(now: Progress) -> Line:
+    """Where the run stands, in one line."""
+    parts = [Part(Text(now.step.ljust(_STEP_WIDTH), "bold"), 0)]
     if now.ridden_m is not None and now.ride_m:
-        segments.append(Segment(bar(now.ridden_m / now.ride_m, _BAR_WIDTH), 7))
-        segments.append(Segment((Text(f"{now.ridden_m:4.1f}/{now.ride_m:.1f} m"),), 1))
+        parts.append(Part(ProgressBar(now.ride_m, now.ridden_m, width=_BAR_WIDTH), 7))
+        parts.append(Part(Text(f"{now.ridden_m:4.1f}/{now.ride_m:.1f} m"), 1))
     if now.gap_m is not None:
-        segments.append(Segment((Text("gap ", "dim"), Text(f"{now.gap_m:.2f} m")), 2))
+        parts.append(Part(Text.assemble(("gap ", "dim"), f"{now.gap_m:.2f} m"), 2))
     if now.modules is not None:
-        segments.append(Segment((Text(now.rider, "dim"),), 6))
-        segments.append(Segment(_module_texts(now.modules), 3))
+        parts.append(Part(Text(now.rider, "dim"), 6))
+        parts.append(Part(_module_text(now.modules), 3))
     if now.sim_s is not None:
-        segments.append(Segment((Text(f"{now.sim_s:.1f} s", "dim"),), 5))
+        parts.append(Part(Text(f"{now.sim_s:.1f} s", "dim"), 5))
     if now.real_time_factor is not None:
-        segments.append(Segment((Text(f"{now.real_time_factor:.2f}×", "dim"),), 4))
-    return fit(segments, columns, colours)
+        parts.append(Part(Text(f"{now.real_time_factor:.2f}×", "dim"), 4))
+    return Line(parts)
+
+
+def change(now: Progress) -> str:
+    """What makes the line worth a line of its own where it is not rewritten: the step and the modules."""
+    return f"{now.step} {'' if now.modules is None else module_names(now.modules)}"
 
 
 def module_names(modules: ModuleSwitches) -> str:
@@ -100,25 +111,25 @@ def module_names(modules: ModuleSwitches) -> str:
     return " ".join(name if on else name.lower() for name, on in asdict(modules).items())
 
 
-def figure_table(figures: Sequence[Figure], colours: bool, peer: str = "paper") -> str:
+def figure_table(figures: Sequence[Figure], peer: str = "paper") -> Table:
     """Every figure beside its peer's, which are the paper's unless said otherwise, with its bound."""
-    rows: list[list[Cell]] = [
+    rows: list[list[str]] = [
         [
             label(figure),
             number(figure.value, figure.unit, missing="–"),
             number(figure.peer, figure.unit),
             f"{figure.ratio:.2f}" if figure.ratio is not None else "",
             bound(figure),
-            _mark(figure.ok),
+            mark(figure.ok),
         ]
         for figure in figures
     ]
-    return table("Figures", ["ours", peer, "ratio", "bound", ""], rows, colours)
+    return Table("Figures", ["", "ours", peer, "ratio", "bound", ""], rows)
 
 
-def box_table(matches: Sequence[BoxMatch], colours: bool) -> str:
+def box_table(matches: Sequence[BoxMatch]) -> Table:
     """True boxes beside those of the hitchhiker's map: corner, width × breadth, in metres."""
-    rows: list[list[Cell]] = []
+    rows: list[list[str]] = []
     for match in matches:
         ok = (
             None not in (match.place_m, match.size_m)
@@ -131,47 +142,44 @@ def box_table(matches: Sequence[BoxMatch], colours: bool) -> str:
                 _box(match.found) if match.found is not None else "not found",
                 number(match.place_m, "m"),
                 number(match.size_m, "m"),
-                _mark(ok),
+                mark(ok),
             ]
         )
-    return table("Boxes", ["true (m)", "hitchhiker's map", "place off", "size off", ""], rows, colours)
+    return Table("Boxes", ["", "true (m)", "hitchhiker's map", "place off", "size off", ""], rows)
 
 
-def cpu_table(costs: Sequence[NodeCost], colours: bool) -> str:
+def cpu_table(costs: Sequence[NodeCost]) -> Table:
     """CPU of each node: seconds in all, then percent of a core by simulated time in each phase."""
     phases = list(dict.fromkeys(phase for cost in costs for phase in cost.phases))
-    rows: list[list[Cell]] = []
+    rows: list[list[str]] = []
     for cost in costs:
         shares = [cost.phases.get(phase) for phase in phases]
         percents = ["" if use is None else f"{100.0 * use.cpu_s / use.sim_s:.1f} %" for use in shares]
         rows.append([cost.node, f"{cost.cpu_s:.1f} s", *percents, f"{cost.memory_mb:.0f} MB"])
-    return table("CPU", ["in all", *phases, "memory"], rows, colours)
+    return Table("CPU", ["", "in all", *phases, "memory"], rows)
 
 
-def summary_table(summaries: Sequence[Summary], seeds: Sequence[int], colours: bool) -> str:
+def summary_table(summaries: Sequence[Summary], seeds: Sequence[int]) -> Table:
     """Every figure over several runs."""
-    rows: list[list[Cell]] = [
+    rows: list[list[str]] = [
         [
             label(summary),
             number(summary.value, summary.unit, missing="–"),
             number(summary.worst, summary.unit, missing="–"),
             number(summary.peer, summary.unit),
             bound(summary),
-            _mark(summary.ok),
+            mark(summary.ok),
             f"{summary.runs - summary.failed}/{summary.runs}" if summary.bound is not None else "",
         ]
         for summary in summaries
     ]
     title = f"{len(seeds)} runs, seeds {', '.join(str(seed) for seed in seeds)}"
-    return table(title, ["median", "worst", "paper", "bound", "", "held"], rows, colours)
+    return Table(title, ["", "median", "worst", "paper", "bound", "", "held"], rows)
 
 
-def _module_texts(modules: ModuleSwitches) -> tuple[Text, ...]:
-    texts: list[Text] = []
-    for name, on in asdict(modules).items():
-        texts += [Text(" ")] if texts else []
-        texts.append(Text(name, "cyan") if on else Text(name.lower(), "dim"))
-    return tuple(texts)
+def _module_text(modules: ModuleSwitches) -> Text:
+    names = [(name, "cyan") if on else (name.lower(), "dim") for name, on in asdict(modules).items()]
+    return Text(" ").join(Text(*name) for name in names)
 
 
 def label(figure: Figure | Summary) -> str:
@@ -191,10 +199,6 @@ def bound(figure: Figure | Summary) -> str:
     if figure.bound is None:
         return ""
     return f"{'≤' if figure.better == 'lower' else '≥'} {figure.bound:g}"
-
-
-def _mark(ok: bool | None) -> Text:
-    return Text("") if ok is None else Text("✓", "green") if ok else Text("✗", "red")
 
 
 def _box(box: Obstacle) -> str:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hitchhike_ros.core.geometry import pose_from_matrix
-from hitchhike_ros.core.robot_model import fixed_transforms
-from hitchhike_ros.experiments.scenarios.ride_record import Contact, RideRecord, RobotRecord, TimedEstimate, TimedPose
+from hitchhike_ros.experiments.scenarios.ride_record import Contact
+from hitchhike_ros.experiments.scenarios.ride_recorder import RideRecorder
 from hitchhike_ros.simulation.composed import ComposedRide
-from hitchhike_ros.simulation.physics.robot import robot_files
 
 
 class ComposedRecorder:
@@ -16,26 +14,24 @@ class ComposedRecorder:
 
     def __init__(self, ride: ComposedRide, seed: int) -> None:
         self._ride = ride
-        robots = {}
-        for name, entry in ride.world.file.robots.items():
-            mounts = fixed_transforms(robot_files(entry.model, ride.package)[0])
-            camera, marker = (pose_from_matrix(mounts[link]) for link in ("camera", "marker"))
-            robots[name] = RobotRecord(camera, marker, entry.goal is not None)
-        file = ride.world.file
-        self.record = RideRecord(file.path.name.split(".")[0], seed, file.boxes, robots)
+        self._recorder = RideRecorder.of_world(ride.world.file, seed, ride.package)
+        self.record = self._recorder.record
 
     def run(self, limit_s: float) -> Iterator[float]:
         """Step until ``limit_s`` of simulated time; what it yields, the time, is after each frame."""
-        world, record = self._ride.world, self.record
+        world, recorder = self._ride.world, self._recorder
         while world.now < limit_s:
             self._ride.step()
-            now = world.now
             for name, robot in self._ride.robots.items():
                 pose, _ = world.robots[name].ground_truth()
-                record.robots[name].truth.append(TimedPose(now, pose.x, pose.y, pose.theta))
-                record.robots[name].add_status(robot.status)
-                record.robots[name].awards = list(robot.awards)
-                record.robots[name].obstacles = robot.mapper.obstacles
-                record.robots[name].initial_poses = [TimedEstimate.of(estimate) for estimate in robot.taken]
-            record.contacts = [Contact(c.stamp, c.robot, c.other, c.x, c.y) for c in world.contacts()]
-            yield now
+                known = self.record.robots[name]
+                recorder.truth(name, world.now, pose)
+                recorder.status(name, robot.status)
+                recorder.obstacles(name, robot.mapper.obstacles)
+                for award in robot.awards[len(known.awards) :]:
+                    recorder.award(name, award)
+                for estimate in robot.taken[len(known.initial_poses) :]:
+                    recorder.initial_pose(name, estimate)
+            for contact in world.contacts()[len(self.record.contacts) :]:
+                recorder.contact(Contact(contact.stamp, contact.robot, contact.other, contact.x, contact.y))
+            yield world.now

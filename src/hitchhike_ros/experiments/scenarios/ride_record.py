@@ -152,6 +152,28 @@ class RideRecord:
     clock: list[ClockSample] = field(default_factory=list)
     simulator: dict[str, str] = field(default_factory=dict)  # its newest diagnostics
 
+    @property
+    def over(self) -> bool:
+        """Whether every robot that was given a goal has come to an end with it."""
+        active = [robot for robot in self.robots.values() if robot.has_goal]
+        return bool(active) and all(robot.ended for robot in active)
+
+    @property
+    def lasted(self) -> tuple[float, float]:
+        """Simulated and wall seconds from the first to the last look at both clocks."""
+        if not self.clock:
+            return 0.0, 0.0
+        first, last = self.clock[0], self.clock[-1]
+        return last.stamp - first.stamp, last.wall_s - first.wall_s
+
+    def ridden_m(self, robot: str) -> float:
+        """How far the ride is by now in which ``robot`` takes part, as its driver reports it."""
+        status = self.robots[robot].newest_status
+        if status is None or status.ride is None or status.ride.driver not in self.robots:
+            return 0.0
+        driver = self.robots[status.ride.driver].newest_status
+        return driver.ride.ridden_m if driver is not None and driver.ride is not None else 0.0
+
 
 def save_record(record: RideRecord, path: Path) -> None:
     """Write the record as JSON."""

@@ -10,6 +10,8 @@ import numpy as np
 from hitchhike_ros.experiments.scenarios.ride_record import ClockSample, CpuSample, RideRecord
 from hitchhike_ros.experiments.scoring.rides import Ride, phases
 
+_RECENT_S = 5.0  # wall time (chosen)
+
 
 @dataclass(frozen=True)
 class CpuUse:
@@ -54,7 +56,15 @@ def cpu_use(samples: Sequence[CpuSample], clock: Sequence[ClockSample], window: 
 def real_time_factor(record: RideRecord, ride: Ride | None) -> float | None:
     """Simulated by wall seconds, from the request (or else from the start) to the end."""
     since = ride.requested_at if ride is not None else None
-    clock = [c for c in record.clock if since is None or c.stamp >= since]
+    return _factor([c for c in record.clock if since is None or c.stamp >= since])
+
+
+def recent_real_time_factor(record: RideRecord) -> float | None:
+    """The same of the last few seconds, for a person who watches."""
+    return _factor([c for c in record.clock if c.wall_s >= record.clock[-1].wall_s - _RECENT_S])
+
+
+def _factor(clock: Sequence[ClockSample]) -> float | None:
     if len(clock) < 2 or clock[-1].wall_s <= clock[0].wall_s:
         return None
     return (clock[-1].stamp - clock[0].stamp) / (clock[-1].wall_s - clock[0].wall_s)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hitchhike_ros.experiments.report.ride_frames import FOLDER, FramePlan, find_frames, frame_name
+from hitchhike_ros.experiments.report.ride_frames import FOLDER, FramePlan, find_frames, frame_name, frames_due
 from hitchhike_ros.protocol.status import ModuleSwitches, RideStatus, Status
 from synthetic_ride import RIDE_M, synthetic_ride
 
@@ -22,6 +22,18 @@ def test_each_step_of_a_hitchhiker_is_kept_once_and_its_end() -> None:
             if plan.due(status, 0.0, status.time_stamp + late):
                 taken.append(status.state)
     assert taken == ["requesting", "coupling", "riding", "settling", "relocalizing", "navigating"]
+
+
+def test_frames_are_due_of_the_robots_that_have_a_plan() -> None:
+    record = synthetic_ride()
+    for robot in record.robots.values():
+        robot.newest_status = next(s for s in robot.statuses if s.time_stamp >= 10.0)
+    plans = {"p3dx": FramePlan(), "turtlebot": FramePlan()}
+    assert frames_due(record, {}, 20.0) == {}
+    assert frames_due(record, plans, 20.0) == {"turtlebot": "requesting"}
+    assert frames_due(record, plans, 20.1) == {}
+    record.robots["turtlebot"].newest_status = None
+    assert frames_due(record, plans, 20.2) == {}
 
 
 def test_nobody_who_does_not_ride_is_looked_through() -> None:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import re
+import io
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from rich.console import Console
 
 from hitchhike_ros.core.datatypes import Obstacle, Pose2D
 from hitchhike_ros.experiments.report.ride_picture import draw_ride
 from hitchhike_ros.experiments.report.ride_report import (
     Progress,
     box_table,
+    change,
     cpu_table,
     figure_table,
     live_line,
@@ -22,7 +24,7 @@ from hitchhike_ros.experiments.report.ride_report import (
     progress,
     summary_table,
 )
-from hitchhike_ros.experiments.report.terminal import Text, table
+from hitchhike_ros.experiments.report.screen import text_of
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
 from hitchhike_ros.experiments.scoring.boxes import match_boxes
 from hitchhike_ros.experiments.scoring.figures import Figure, summarize
@@ -49,14 +51,17 @@ def at(stamp: float) -> RideRecord:
 
 @pytest.mark.parametrize("columns", [20, 40, 60, 80, 120, 200])
 def test_the_live_line_fits_and_begins_with_the_step(columns: int) -> None:
-    line = live_line(NOW, columns, colours=False)
+    file = io.StringIO()
+    Console(file=file, width=columns).print(live_line(NOW))
+    (line,) = file.getvalue().splitlines()
     assert len(line) <= columns
     assert line.startswith("Riding")
     assert columns < 80 or ("12.4/20.4 m" in line and "gap 0.81 m" in line and "pp obs lzn map COM VS" in line)
 
 
-def test_colours_add_nothing_but_escape_sequences() -> None:
-    assert re.sub(r"\x1b\[\d*m", "", live_line(NOW, 120, colours=True)) == live_line(NOW, 120, colours=False)
+def test_a_change_of_step_or_modules_is_worth_a_line() -> None:
+    assert change(NOW) == change(replace(NOW, gap_m=0.9, ridden_m=13.0, sim_s=60.0))
+    assert len({change(NOW), change(replace(NOW, step="Handing over")), change(replace(NOW, modules=None))}) == 3
 
 
 @pytest.mark.parametrize(
@@ -96,36 +101,32 @@ def test_modules_that_are_off_are_small() -> None:
     assert module_names(RIDER) == "pp obs lzn map COM VS"
 
 
-def test_columns_line_up() -> None:
-    lines = table("Title", ["a", "b"], [["long name", "1.0", Text("✓", "green")], ["x", "22.25"]], False).split("\n")
-    assert lines == ["Title            a  b", "  long name    1.0  ✓", "  x          22.25"]
-
-
 def test_a_figure_stands_beside_the_papers() -> None:
-    text = figure_table([Figure("gap_error_rms", 0.056, "m", 0.1), Figure("wait", None, "s", peer=21.67)], False)
-    assert [line.split() for line in text.split("\n")[1:]] == [
-        ["gap", "error", "rms", "(m)", "0.056", "≤", "0.1", "✓"],
-        ["wait", "(s)", "–", "21.7"],
+    table = figure_table([Figure("gap_error_rms", 0.056, "m", 0.1), Figure("wait", None, "s", peer=21.67)])
+    assert [list(row) for row in table.rows] == [
+        ["gap error rms (m)", "0.056", "", "", "≤ 0.1", "✓"],
+        ["wait (s)", "–", "21.7", "", "", ""],
     ]
+    assert table.header == ["", "ours", "paper", "ratio", "bound", ""]
 
 
 def test_boxes_stand_beside_the_true_ones() -> None:
     boxes = [Obstacle("a", 1.0, 2.0, 0.3, 0.4), Obstacle("b", 9.0, 2.0, 0.3, 0.4)]
-    lines = box_table(match_boxes(boxes, [Obstacle("x", 1.0, 2.0, 0.5, 0.4)]), False).split("\n")[1:]
-    assert lines[0].split()[-3:] == ["0.100", "0.200", "✗"]
-    assert "not found" in lines[1]
+    rows = box_table(match_boxes(boxes, [Obstacle("x", 1.0, 2.0, 0.5, 0.4)])).rows
+    assert list(rows[0][-3:]) == ["0.100", "0.200", "✗"]
+    assert "not found" in rows[1]
 
 
 def test_cpu_is_told_in_percent_of_a_core() -> None:
     record = synthetic_ride()
-    rows = [line.split() for line in cpu_table(node_costs(record, find_ride(record)), False).split("\n")]
+    rows = [line.split() for line in text_of(cpu_table(node_costs(record, find_ride(record)))).split("\n")]
     assert rows[0] == ["CPU", "in", "all", "coupling", "riding", "alone", "memory"]
     assert rows[2] == ["/turtlebot/slam", "15.2", "s", "30.0", "%", "1.0", "%", "30.0", "%", "140", "MB"]
 
 
 def test_a_summary_tells_how_many_runs_held() -> None:
     runs = summarize([[Figure("couple", value, "s", 15.0, peer=15.33)] for value in (12.0, 16.0, 13.0)])
-    row = summary_table(runs, [4, 5, 6], False).split("\n")[1].split()
+    row = text_of(summary_table(runs, [4, 5, 6])).split("\n")[1].split()
     assert row == ["couple", "(s)", "13.0", "16.0", "15.3", "≤", "15", "✗", "2/3"]
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.experiments.report.cost_tables import comparison_table, ledger_table, steps_table
+from hitchhike_ros.experiments.report.screen import text_of
 from hitchhike_ros.experiments.scenarios.ride_record import (
     ClockSample,
     CpuSample,
@@ -145,7 +146,7 @@ def test_parts_of_the_run_leave_nothing_out(ridden: RideRecord) -> None:
     assert all(a.end == b.begin for a, b in pairwise(steps))
     whole = total(c for c in module_costs(ridden, (REQUESTED, END_OF_RUN)) if c.robot == "turtlebot")
     assert sum(step.total.cpu_s for step in steps) == pytest.approx(whole.cpu_s)
-    assert steps_table(steps, colours=False).count("\n") == len(steps)
+    assert [row[0] for row in steps_table(steps).rows] == [step.name for step in steps]
 
 
 def test_places_are_found_in_the_order_in_which_they_come(alone: RideRecord) -> None:
@@ -200,7 +201,7 @@ def test_modules_that_are_off_are_read_against_the_idle_node(ridden: RideRecord,
 
 def test_tables_name_every_module_once(ridden: RideRecord, alone: RideRecord) -> None:
     comparison = compare(ridden, alone)[0]
-    text = comparison_table(comparison, colours=False)
+    text = text_of(comparison_table(comparison))
     assert text.count("slam") == 1 and text.count("hitchhike_comm") == 1 and "\n  all " in text
-    ledger = ledger_table(comparison.rider.modules, colours=False)
+    ledger = text_of(ledger_table(comparison.rider.modules))
     assert "turtlebot/slam" in ledger and "messages in" in ledger

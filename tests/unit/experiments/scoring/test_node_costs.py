@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hitchhike_ros.experiments.scenarios.ride_record import (
-    RideRecord,
-)
-from hitchhike_ros.experiments.scoring.node_costs import node_costs
+from hitchhike_ros.experiments.scenarios.ride_record import ClockSample, RideRecord
+from hitchhike_ros.experiments.scoring.node_costs import node_costs, recent_real_time_factor
 from hitchhike_ros.experiments.scoring.rides import find_ride, phases
 from synthetic_ride import END, synthetic_ride
 
@@ -24,3 +22,10 @@ def test_cpu_is_told_by_node_and_phase_on_both_clocks(record: RideRecord) -> Non
     assert (cost.cpu_s, cost.memory_mb) == (15.168, 50.0 + END)
     use = cost.phases["riding"]
     assert (use.cpu_s, use.sim_s, use.wall_s) == pytest.approx((0.408, 40.8, 51.0))
+
+
+def test_the_recent_factor_is_that_of_the_last_seconds() -> None:
+    record = RideRecord("", 0, (), {})
+    assert recent_real_time_factor(record) is None
+    record.clock = [ClockSample(0.0, 0.0), ClockSample(10.0, 10.0), ClockSample(12.0, 14.0)]
+    assert recent_real_time_factor(record) == 0.5
