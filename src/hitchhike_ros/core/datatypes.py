@@ -69,8 +69,9 @@ class Odometry:
 class LaserScan:
     """One planar scan in the laser's frame.
 
-    ``ranges`` is (N,) float; beam i points to ``angle_min + i * angle_increment``. REP 117: +inf is no return,
-    -inf is too close, NaN is a broken reading.
+    ``ranges`` is (N,); beam i points to ``angle_min + i * angle_increment``. REP 117: +inf is no return, -inf is too
+    close, NaN is a broken reading. All numbers but the stamp have the precision of sensor_msgs/LaserScan, so that a
+    scan is the same whether or not it has been a message.
     """
 
     stamp: float
@@ -78,7 +79,12 @@ class LaserScan:
     angle_increment: float
     range_min: float
     range_max: float
-    ranges: FloatArray
+    ranges: npt.NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        for name in ("angle_min", "angle_increment", "range_min", "range_max"):
+            object.__setattr__(self, name, float(np.float32(getattr(self, name))))
+        object.__setattr__(self, "ranges", np.asarray(self.ranges, np.float32))
 
     def angles(self) -> FloatArray:
         """Bearing of each beam, (N,) rad."""

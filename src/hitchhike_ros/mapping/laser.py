@@ -53,7 +53,7 @@ def check_scan(scan: LaserScan) -> None:
 def end_points(scan: LaserScan, T_base_laser: Pose2D, max_range_m: float = np.inf) -> EndPoints:
     """End points of the valid beams up to ``max_range_m``, in ``base_footprint``."""
     beams = np.flatnonzero(scan.valid() & (scan.ranges <= max_range_m))
-    ranges, angles = scan.ranges[beams], scan.angle_min + scan.angle_increment * beams
+    ranges, angles = scan.ranges[beams].astype(float), scan.angle_min + scan.angle_increment * beams
     points = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
     return EndPoints(transform_points(T_base_laser, points), ranges, beams)
 

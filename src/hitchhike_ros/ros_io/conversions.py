@@ -28,6 +28,7 @@ from std_msgs.msg import Header
 
 from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
+from hitchhike_ros.core.stamps import split
 from hitchhike_ros.mapping.grid import OccupancyGrid
 
 # Rows and columns of (x, y, yaw) in a ROS 6 x 6 covariance.
@@ -36,8 +37,7 @@ _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 
 def to_stamp(seconds: float) -> rospy.Time:
     """To the nearest nanosecond: a clock whose ticks are one short makes timers miss every fourth of them."""
-    whole = math.floor(seconds)  # apart, as nanoseconds since 1970 are more than a float can count
-    return rospy.Time(whole, round((seconds - whole) * 1e9))
+    return rospy.Time(*split(seconds))
 
 
 def header(stamp: float, frame_id: str) -> Header:
@@ -122,7 +122,7 @@ LaserScanArrayMsg = numpy_msg(LaserScanMsg)
 
 def scan_from_msg(msg: LaserScanMsg) -> LaserScan:
     """Raises SensorDataError when the scan is empty, its angles are senseless or beams are NaN."""
-    ranges = np.array(msg.ranges, dtype=float)
+    ranges = np.array(msg.ranges, np.float32)
     if ranges.size == 0 or not (math.isfinite(msg.angle_min) and msg.angle_increment > 0.0):
         raise SensorDataError(f"scan at {msg.header.stamp.to_sec():.2f} s is empty or has senseless angles")
     if np.isnan(ranges).any():
@@ -139,7 +139,7 @@ def scan_to_msg(scan: LaserScan, frame_id: str) -> LaserScanMsg:
         angle_increment=scan.angle_increment,
         range_min=scan.range_min,
         range_max=scan.range_max,
-        ranges=scan.ranges.astype(np.float32),
+        ranges=scan.ranges,
     )
 
 

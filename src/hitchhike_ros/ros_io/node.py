@@ -16,6 +16,7 @@ from std_msgs.msg import Header, String
 
 from hitchhike_ros.core.errors import HitchhikeError, MessageError
 from hitchhike_ros.protocol.status import Status, decode_status
+from hitchhike_ros.ros_io.conversions import to_stamp
 from hitchhike_ros.ros_io.timer import clock
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -163,4 +164,4 @@ class LockstepAnswer:
 
     def __call__(self, stamp: float) -> None:
         if self._publisher is not None:
-            self._publisher.publish(Header(stamp=rospy.Time.from_sec(stamp), frame_id=self._module))
+            self._publisher.publish(Header(stamp=to_stamp(stamp), frame_id=self._module))

@@ -428,7 +428,7 @@ def test_memory_keeps_what_is_out_of_view_for_a_while_and_drops_what_is_seen_thr
 
     free, one = np.full(201, np.inf), np.full(201, np.inf)
     one[100] = 1.0
-    assert see(0.0, one, Pose2D()) == pytest.approx(np.array([[1.17, 0.0]]))
+    assert see(0.0, one, Pose2D()) == pytest.approx(np.array([[1.17, 0.0]]), abs=1e-6)
     assert len(see(0.1, free, Pose2D())) == 0  # seen through
     see(1.0, one, Pose2D())
     turned = see(2.0, free, Pose2D(theta=math.pi))  # behind now

@@ -31,6 +31,14 @@ def test_scan_of_rep_117() -> None:
     np.testing.assert_allclose(scan.angles(), [-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5])
 
 
+def test_a_scan_has_the_precision_of_its_message() -> None:
+    scan = LaserScan(0.1, -0.1, 0.1, 0.02, 8.0, np.array([0.1, 1.0 / 3.0, np.inf]))
+    assert scan.ranges.dtype == np.float32
+    np.testing.assert_array_equal(scan.ranges, np.array([0.1, 1.0 / 3.0, np.inf], np.float32))
+    assert (scan.angle_min, scan.angle_increment) == (-float(np.float32(0.1)), float(np.float32(0.1)))
+    assert scan.stamp == 0.1
+
+
 def test_cameras_do_not_share_their_distortion() -> None:
     a, b = (CameraInfo(640, 480, np.eye(3)) for _ in range(2))
     a.D[0] = 1.0

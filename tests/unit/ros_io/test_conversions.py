@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 import rospy
+from hypothesis import given
+from hypothesis import strategies as st
 
+from hitchhike_ros.core.datatypes import LaserScan
 from hitchhike_ros.core.geometry import matrix_from_xyz_rpy
-from hitchhike_ros.ros_io.conversions import header, to_stamp, transform_from_matrix
+from hitchhike_ros.core.stamps import carried
+from hitchhike_ros.ros_io.conversions import (
+    LaserScanArrayMsg,
+    header,
+    scan_from_msg,
+    scan_to_msg,
+    to_stamp,
+    transform_from_matrix,
+)
 
 
 @pytest.mark.parametrize("rate", [10, 20, 50])
@@ -32,6 +45,23 @@ def test_a_stamp_is_the_nearest_nanosecond(seconds: float, stamp: rospy.Time) ->
 def test_a_stamp_tells_the_same_time_back() -> None:
     for seconds in np.random.default_rng(2).uniform(1.4e9, 1.8e9, 2000):  # what a float holds of them is 240 ns apart
         assert to_stamp(seconds).to_sec() == seconds
+
+
+@given(
+    st.integers(0, 10**6).map(lambda steps: carried(steps / 240)),
+    st.floats(-3.2, 3.2),
+    st.lists(st.floats(width=64, allow_nan=False), min_size=1, max_size=8),
+)
+def test_a_scan_that_has_been_a_message_is_the_same(stamp: float, angle: float, ranges: list[float]) -> None:
+    with np.errstate(over="ignore"):
+        scan = LaserScan(stamp, angle, 0.00613592315154, 0.02, 8.0, np.array(ranges))
+    buffer = BytesIO()
+    scan_to_msg(scan, "laser").serialize(buffer)
+    back = scan_from_msg(LaserScanArrayMsg().deserialize(buffer.getvalue()))
+    for name in ("stamp", "angle_min", "angle_increment", "range_min", "range_max"):
+        assert getattr(back, name) == getattr(scan, name)
+    np.testing.assert_array_equal(back.ranges, scan.ranges)
+    assert back.ranges.dtype == np.float32
 
 
 @pytest.mark.parametrize(

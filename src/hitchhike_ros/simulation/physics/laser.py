@@ -56,7 +56,7 @@ class Laser:
 
 def as_scan(true: FloatArray, stamp: float, params: LaserParameters, rng: np.random.Generator) -> LaserScan:
     """The scan of true distances (N,) in m."""
-    ranges = measure(true, params, rng)
+    ranges = measure(true, params, rng).astype(np.float32)
     return LaserScan(
         stamp, params.angle_min_rad, params.angle_increment_rad, params.range_min_m, params.range_max_m, ranges
     )

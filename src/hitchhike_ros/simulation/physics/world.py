@@ -20,6 +20,7 @@ import pybullet as p
 from hitchhike_ros.core.datatypes import Marker, Positive
 from hitchhike_ros.core.errors import WorldFileError
 from hitchhike_ros.core.geometry import distance
+from hitchhike_ros.core.stamps import carried
 from hitchhike_ros.mapping.grid import FREE
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.simulation.people import Person
@@ -88,7 +89,7 @@ class World:
         self.params = params or WorldParameters()
         self.grid = load_map(self.file.map)
         self.dt = 1.0 / self.params.physics_rate_hz
-        self._steps = 0
+        self._steps, self._now = 0, 0.0
         self._check_robots(Path(package))
         self.client = p.connect(p.DIRECT)
         try:
@@ -113,8 +114,8 @@ class World:
 
     @property
     def now(self) -> float:
-        """Simulated time in s since the world was built; :meth:`reset` does not turn it back."""
-        return self._steps / self.params.physics_rate_hz
+        """Simulated time in s since the world was built, as a ROS stamp has it; :meth:`reset` does not turn it back."""
+        return self._now
 
     @property
     def boxes(self) -> tuple[Box, ...]:
@@ -129,6 +130,7 @@ class World:
             self._walk()
         p.stepSimulation(physicsClientId=self.client)
         self._steps += 1
+        self._now = carried(self._steps / self.params.physics_rate_hz)
         for robot in self.robots.values():
             self._note_contacts(robot)
             if self._steps % self.params.encoder_steps == 0:
