@@ -7,10 +7,10 @@ from types import ModuleType
 
 import pytest
 
-from hitchhike_ros.core import geometry, pose_buffer
+from hitchhike_ros.core import geometry, polyline, pose_buffer
 
 
-@pytest.mark.parametrize("module", [geometry, pose_buffer], ids=lambda module: module.__name__)
+@pytest.mark.parametrize("module", [geometry, polyline, pose_buffer], ids=lambda module: module.__name__)
 def test_examples(module: ModuleType) -> None:
     failed, attempted = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
     assert failed == 0
