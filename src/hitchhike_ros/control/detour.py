@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchhike_ros.control.clearance import ClearanceField
-from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.core.geometry import inverse, transform_points
+from hitchhike_ros.core.polyline import Polyline
 
 _STATION_M = 0.12  # along the path
 _LANE_M = 0.08  # across it
@@ -51,13 +51,13 @@ class DetourPlanner:
         diagonal = _SHIFT_COST * shift + _STEEP_COST * np.maximum(shift - _STATION_M, 0.0)
         self._diagonal = np.where(shift <= (_STEEPEST + 0.5) * _LANE_M, diagonal, np.inf)
 
-    def plan(self, path: ReferencePath, s: float, pose: Pose2D, field: ClearanceField, before: Detour | None) -> Detour:
+    def plan(self, path: Polyline, s: float, pose: Pose2D, field: ClearanceField, before: Detour | None) -> Detour:
         """The way on for a robot at ``pose`` whose foot on ``path`` (both in ``map``) is at arc length ``s``.
 
         ``field`` is in the robot's frame. ``before`` is the last result: leaving its lane costs, so that two ways as
         good as each other do not take turns.
         """
-        end = min(s + _AHEAD_M, path.length)
+        end = min(s + _AHEAD_M, path.end_m)
         stations = np.append(np.arange(s, end - 0.5 * _STATION_M, _STATION_M), end)
         tangents = path.tangents(stations)
         normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
@@ -68,7 +68,7 @@ class DetourPlanner:
         offset = float(normals[0] @ (np.array([pose.x, pose.y]) - centre[0]))
         start = int(np.argmin(np.abs(self._offsets - offset)))
         cost = self._cost(stations, clearance, before)
-        if end == path.length:
+        if end == path.end_m:
             cost[-1, self._offsets != 0.0] = np.inf  # a goal cannot be shifted
         lanes, blocked = self._search(clearance, start, cost)
         offsets = np.convolve(self._offsets[np.pad(lanes, 2, mode="edge")], _SMOOTHING, "valid")

@@ -24,11 +24,11 @@ from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameter
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.pose_approach import CURVES, PERIOD_S, Curve, roll_out_approach
 from hitchhike_ros.control.recovery import Recovery, RecoveryStep
-from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.control.trail import Trail
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, Twist2D
 from hitchhike_ros.core.errors import PlanningError, SensorDataError
 from hitchhike_ros.core.geometry import between, distance
+from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.core.robot_model import RobotLimits
 
 State = Literal["driving", "arrived", "blocked"]
@@ -58,7 +58,7 @@ class Decision:
 class _Leg:
     """One path on the way to its goal, and how far the robot has come."""
 
-    path: ReferencePath
+    path: Polyline
     goal: Pose2D
     tolerance_m: float
     tolerance_rad: float
@@ -131,7 +131,7 @@ class LocalPlanner:
             PlanningError: the path is not finite points, or does not end at the goal.
         """
         points = np.asarray(path, dtype=float)
-        reference = ReferencePath(points)
+        reference = Polyline(points)
         if not goal.is_finite():
             raise PlanningError(f"goal {goal} is not finite")
         gap = math.hypot(points[-1, 0] - goal.x, points[-1, 1] - goal.y)
@@ -140,7 +140,7 @@ class LocalPlanner:
         if gap > max(0.2, tolerance_m):
             raise PlanningError(f"path ends {gap:.2f} m from the goal")
         if gap > 0.0:
-            reference = ReferencePath(np.vstack([points, (goal.x, goal.y)]))
+            reference = Polyline(np.vstack([points, (goal.x, goal.y)]))
         before, self._leg = self._leg, _Leg(reference, goal, tolerance_m, tolerance_rad)
         if before is not None and before.goal == goal:
             self._leg.moved_at = before.moved_at
@@ -250,13 +250,12 @@ class LocalPlanner:
                 return None
             way = self._trail.back(pose)
             end, self._withdrew_at = Pose2D(float(way[-1, 0]), float(way[-1, 1])), pose
-            self._withdrawal = _Leg(ReferencePath(way), end, p.goal_tolerance_m, math.tau)
+            self._withdrawal = _Leg(Polyline(way), end, p.goal_tolerance_m, math.tau)
         way_back = self._withdrawal.path
         gone_m, _ = way_back.project(pose.x, pose.y)
-        x, y = way_back.at(np.array([min(gone_m + _BACK_AHEAD_M, way_back.length)]))[0]
-        back = between(pose, Pose2D(float(x), float(y)))
+        back = between(pose, Pose2D(*way_back.point(gone_m + _BACK_AHEAD_M)))
         if back.x < -abs(back.y):  # where there is no room to turn round there is room to go back
-            done = way_back.length - gone_m <= p.goal_tolerance_m
+            done = way_back.end_m - gone_m <= p.goal_tolerance_m
             return None if done else self._back_up(now, back, twist, field, limits)
         decision = self._drive(self._withdrawal, now, pose, twist, field, limits, False)
         return decision.twist if decision.state == "driving" else None
@@ -328,15 +327,15 @@ class LocalPlanner:
         way = self._way(leg.detour)
         stop_after = math.inf
         if leg.detour.blocked:
-            stop_after = way.length - p.stand_off_m
-        elif leg.detour.stations[-1] >= leg.path.length:
-            stop_after = way.length
+            stop_after = way.end_m - p.stand_off_m
+        elif leg.detour.stations[-1] >= leg.path.end_m:
+            stop_after = way.end_m
         speed = math.sqrt(1.2 * limits.max_acceleration_mps2 * max(stop_after, 0.0))
         limits = replace(limits, max_speed_mps=max(min(limits.max_speed_mps, speed), 1e-3))
 
         target: Twist2D | None = Twist2D()
         if stop_after > 0.0:
-            ahead = way.at(np.array([min(0.5, way.length)]))[0]
+            ahead = way.point(0.5)
             heading, reach = math.atan2(ahead[1], ahead[0]), math.hypot(*ahead)
             threshold = p.turn_stop_rad if leg.turning else p.turn_start_rad
             leg.turning = abs(heading) > threshold and reach > 0.5 * leg.tolerance_m
@@ -345,7 +344,7 @@ class LocalPlanner:
         standing = target is None or (abs(target.v) < 0.01 and abs(target.omega) < 0.02)
         waited = leg.watch(now, not standing, pose, p)
         if waited >= p.blocked_after_s:
-            gap = way.length + self._limits.front_m
+            gap = way.end_m + self._limits.front_m
             why = f"no way past an obstacle {gap:.1f} m ahead" if leg.detour.blocked else "no motion is safe"
             return self._stand("blocked", why)
         if target is None:  # brake as hard as the base can
@@ -462,7 +461,7 @@ class LocalPlanner:
         return None
 
     def _best(
-        self, twist: Twist2D, way: ReferencePath, field: ClearanceField, floor: float, limits: RobotLimits, gentle: bool
+        self, twist: Twist2D, way: Polyline, field: ClearanceField, floor: float, limits: RobotLimits, gentle: bool
     ) -> Twist2D | None:
         """The velocities to head for; None when the robot could not brake before contact with any of them."""
         p = self._params
@@ -492,7 +491,7 @@ class LocalPlanner:
         targets: FloatArray,
         poses: FloatArray,
         velocities: FloatArray,
-        way: ReferencePath,
+        way: Polyline,
         field: ClearanceField,
         floor: float,
         limits: RobotLimits,
@@ -503,11 +502,11 @@ class LocalPlanner:
         travelled = np.cumsum(velocities[..., 0], axis=1) * p.rollout_step_s
         clearance = field.clearance(self._footprint, poses)
         free = np.logical_and.accumulate(clearance >= floor, axis=1).sum(axis=1)
-        before_end = (travelled < way.length).sum(axis=1) + 1
+        before_end = (travelled < way.end_m).sum(axis=1) + 1
         last = np.clip(np.minimum(free, before_end) - 1, 0, length - 1)
         contact = np.where(free < np.minimum(before_end, length), 1.0 - free / length, 0.0)
 
-        possible = min(max(limits.max_speed_mps, 0.05) * self._times[-1], way.length)
+        possible = min(max(limits.max_speed_mps, 0.05) * self._times[-1], way.end_m)
         s = np.arange(0.0, possible + 0.3, 0.06)
         line = way.at(s)
         judged = np.minimum(np.array([length // 3, 2 * length // 3, length - 1]), last[:, None])
@@ -533,11 +532,11 @@ class LocalPlanner:
         )
 
     @staticmethod
-    def _way(detour: Detour) -> ReferencePath:
+    def _way(detour: Detour) -> Polyline:
         """The detour from where the robot stands, in its frame, without the quantised first bit beside it."""
         far = np.hypot(detour.points[:, 0], detour.points[:, 1]) > 0.15
         first = int(np.argmax(far)) if far.any() else len(detour.points) - 1
-        return ReferencePath(np.vstack([(0.0, 0.0), detour.points[first:]]))
+        return Polyline(np.vstack([(0.0, 0.0), detour.points[first:]]))
 
     def _ramp(self, now: float, twist: Twist2D, target: Twist2D, limits: RobotLimits) -> Twist2D:
         """The last command moved towards ``target`` by what the acceleration limits allow since then."""

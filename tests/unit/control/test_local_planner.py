@@ -17,7 +17,6 @@ from hitchhike_ros.control.local_planner import Decision, LocalPlanner
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.recovery import Recovery, RecoveryStep
-from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.core.datatypes import LaserScan, Pose2D, Twist2D
 from hitchhike_ros.core.errors import PlanningError, SensorDataError
 from hitchhike_ros.core.geometry import compose, wrap_angle
@@ -443,17 +442,6 @@ def test_readings_by_rep_117() -> None:
     assert np.hypot(points[:, 0], points[:, 1]) == pytest.approx([0.1, 0.1, 2.0])
     with pytest.raises(SensorDataError):
         scan_points(LaserScan(0.0, 0.0, 0.1, 0.1, 8.0, np.array([1.0, math.nan])), 0.4)
-
-
-@given(
-    st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5)), min_size=1, max_size=8), st.floats(-6, 6), st.floats(-6, 6)
-)
-def test_projection_is_the_nearest_point_of_the_path(points: list, x: float, y: float) -> None:
-    path = ReferencePath(np.array(points))
-    s, distance = path.project(x, y)
-    samples = path.at(np.linspace(0.0, path.length, 500))
-    assert distance <= np.hypot(samples[:, 0] - x, samples[:, 1] - y).min() + 1e-9
-    assert np.hypot(*(path.at(np.array([s]))[0] - (x, y))) == pytest.approx(distance, abs=1e-6)
 
 
 def test_the_worlds_own_overlap_is_exact() -> None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from hitchhike_ros.control.reference_path import ReferencePath
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Positive
 from hitchhike_ros.core.geometry import between
+from hitchhike_ros.core.polyline import Polyline
 
 
 @dataclass(frozen=True)
@@ -39,12 +37,11 @@ class ScriptedHuman:
             return ""
         on_time = 0.0 <= now - self._due_at < repeat_s
         self._due_at = (self._due_at if on_time else now) + repeat_s
-        path = ReferencePath(route)
+        path = Polyline(route)
         s, _ = path.project(pose.x, pose.y)
-        if path.length - s < self._params.park_m:
+        if path.end_m - s < self._params.park_m:
             return "w"
-        x, y = path.at(np.array([min(s + self._params.look_ahead_m, path.length)]))[0]
-        ahead = between(pose, Pose2D(float(x), float(y)))
+        ahead = between(pose, Pose2D(*path.point(s + self._params.look_ahead_m)))
         off = math.atan2(ahead.y, ahead.x)
         side = "a" if off > 0.0 else "d"
         if abs(off) > (self._params.turned_rad if self._turning else self._params.turn_rad):
