@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D
-from hitchhike_ros.core.geometry import path_length
+from hitchhike_ros.core.polyline import Polyline
 
 
 @dataclass(frozen=True)
@@ -73,21 +73,13 @@ def _sample(path: FloatArray, step: float, tolerance_m: float) -> tuple[FloatArr
     rows weighs position and heading as :func:`common_stretch` says. Headings are taken over a tolerance's length to
     either side: the corners of a grid path are not its direction.
     """
-    points = np.asarray(path, dtype=float).reshape(-1, 2)
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    points = points[np.concatenate([[True], lengths > 0])] if len(points) else points
-    if len(points) < 2:
+    if not len(path):
         return np.empty(0), np.empty((0, 4))
-    knots = np.concatenate([[0.0], np.cumsum(lengths[lengths > 0])])
-
-    def at(arcs: FloatArray) -> FloatArray:
-        return np.column_stack([np.interp(arcs, knots, points[:, axis]) for axis in (0, 1)])
-
-    arcs = np.linspace(0.0, knots[-1], max(2, math.ceil(path_length(points) / step) + 1))
-    chord = at(arcs + tolerance_m) - at(arcs - tolerance_m)
-    norm = np.linalg.norm(chord, axis=1, keepdims=True)
-    heading = np.divide(chord, norm, out=np.zeros_like(chord), where=norm > 0)
-    return arcs, np.hstack([at(arcs), heading * tolerance_m / math.sqrt(2.0)])
+    line = Polyline(path)
+    if line.length_m == 0.0:
+        return np.empty(0), np.empty((0, 4))
+    arcs = np.linspace(0.0, line.end_m, max(2, math.ceil(line.length_m / step) + 1))
+    return arcs, np.hstack([line.at(arcs), line.tangents(arcs, tolerance_m) * tolerance_m / math.sqrt(2.0)])
 
 
 def _pose(row: FloatArray) -> Pose2D:
