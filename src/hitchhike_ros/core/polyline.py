@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class Polyline:
     Raises:
         PlanningError: the points are not a finite (N, 2) array with N >= 1.
 
-    >>> path = Polyline(np.array([(0.0, 0.0), (3.0, 0.0), (3.0, 4.0)]))
+    >>> path = Polyline([(0.0, 0.0), (3.0, 0.0), (3.0, 4.0)])
     >>> path.length_m
     7.0
     >>> path.project(5.0, 1.0)  # is 2 m beside the path, after 4 m of it
@@ -41,7 +42,7 @@ class Polyline:
     (3.0, 10.0, (1.5, 4.0))
     """
 
-    def __init__(self, points: FloatArray, start_m: float = 0.0) -> None:
+    def __init__(self, points: FloatArray | Sequence[tuple[float, float]], start_m: float = 0.0) -> None:
         points = np.asarray(points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0 or not np.isfinite(points).all():
             raise PlanningError(f"a path must be finite points (N, 2), got an array of shape {points.shape}")
@@ -161,7 +162,7 @@ class Polyline:
     def ahead(self, first: float, last: float = math.inf) -> Polyline:
         """The part between two arc lengths, which keep what they say."""
         first = min(max(first, self.start_m), self.end_m)
-        part = Polyline(np.array([self.point(first)]), first)
+        part = Polyline([self.point(first)], first)
         last = max(min(last, self.end_m), first)
         begin, end = bisect_right(self._arcs, first + _SAME_M), bisect_left(self._arcs, last)
         part._arcs += self._arcs[begin:end]

@@ -11,9 +11,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
-from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Pose2D, Positive
+from hitchhike_ros.core.datatypes import NonNegative, Pose2D, Positive
+from hitchhike_ros.core.geometry import compose
+from hitchhike_ros.core.polyline import Polyline
 
 RADIUS_M, HEIGHT_M = 0.25, 1.7
 # Somebody stops for a robot whose centre is nearer than this and within this bearing of where he walks, or still nearer
@@ -41,18 +41,14 @@ class Walker:
 
     def __init__(self, person: Person) -> None:
         self.person = person
-        self._points = np.asarray(person.path, dtype=float)
-        self._arc: FloatArray = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._points, axis=0).T))])
+        self._path = Polyline(person.path)
         self._s, self._sense, self._waited = 0.0, 1.0, 0.0
 
     @property
     def pose(self) -> Pose2D:
         """Place in ``map`` and the direction in which he walks."""
-        piece = min(int(np.searchsorted(self._arc, self._s, side="right")) - 1, len(self._arc) - 2)
-        along = self._points[piece + 1] - self._points[piece]
-        share = (self._s - self._arc[piece]) / (self._arc[piece + 1] - self._arc[piece])
-        x, y = self._points[piece] + share * along
-        return Pose2D(float(x), float(y), math.atan2(self._sense * along[1], self._sense * along[0]))
+        there = self._path.pose(self._s)
+        return there if self._sense > 0.0 else compose(there, Pose2D(theta=math.pi))
 
     def step(self, now: float, dt: float, robots: Iterable[Pose2D]) -> bool:
         """Walk for ``dt`` s, or wait for the robot in front; whether he has moved."""
@@ -64,7 +60,7 @@ class Walker:
                 self._sense, self._waited = -self._sense, 0.0
             return False
         self._waited = 0.0
-        s, end = self._s + self._sense * self.person.speed_mps * dt, float(self._arc[-1])
+        s, end = self._s + self._sense * self.person.speed_mps * dt, self._path.end_m
         if self.person.hurried:
             s = min(s, end)
         elif not 0.0 <= s <= end:
