@@ -17,7 +17,7 @@ from typing import Literal
 from hitchhike_ros.core.datatypes import Pose2D, Twist2D
 from hitchhike_ros.core.geometry import wrap_angle
 from hitchhike_ros.core.robot_model import RobotLimits
-from hitchhike_ros.servoing.driver_trail import Trail
+from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import TrailLaw, saturate
 
@@ -62,7 +62,7 @@ class DriverSearch:
         side = departure.side or 1.0
         self._sweep = [side * params.search_angle_rad, -side * params.search_angle_rad, 0.0]
 
-    def step(self, now: float, own: Pose2D, trail: Trail, coast_m: float) -> tuple[Twist2D, SearchState]:
+    def step(self, now: float, own: Pose2D, trail: DriverTrail, coast_m: float) -> tuple[Twist2D, SearchState]:
         """The command, and the step that the search is at; ``coast_m`` of the trail may still be driven."""
         p = self._params
         if self._state == "coasting":

@@ -22,7 +22,7 @@ from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.servoing.driver_estimate import DriverEstimate
 from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
-from hitchhike_ros.servoing.driver_trail import Trail
+from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import Target, View, make_law, saturate
 
@@ -60,7 +60,7 @@ class FollowLaw:
     def reset(self) -> None:
         """Forget the driver; odometry is kept."""
         self._driver: DriverEstimate | None = None
-        self._trail = Trail()
+        self._trail = DriverTrail((0.0, 0.0))  # nowhere, until the driver is seen
         self._search: DriverSearch | None = None
 
     def add_odometry(self, odometry: Odometry) -> None:
@@ -164,14 +164,14 @@ class FollowLaw:
         self._search = None
         if self._driver is None:
             self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance)
-            self._trail = Trail((own.x, own.y), self._driver.axle)
+            self._trail = DriverTrail((own.x, own.y), self._driver.axle)
         elif observation.stamp > self._driver.stamp:
             if observation.stamp - self._driver.stamp > p.lost_timeout_s:
                 # What it did meanwhile was not seen: its speed is unknown again, the way to it is taken as straight.
                 self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance)
                 place = self._trail.at(self._trail.advance(own.x, own.y))
                 if math.hypot(place[0] - own.x, place[1] - own.y) > STRAY_M:  # it went its own way meanwhile
-                    self._trail = Trail((own.x, own.y), self._driver.axle)
+                    self._trail = DriverTrail((own.x, own.y), self._driver.axle)
             else:
                 self._driver.update(observation.stamp, marker, observation.covariance)
             self._trail.extend(self._driver.axle, self._driver.heading, p.trail_step_m)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Twist2D
 from hitchhike_ros.core.robot_model import RobotLimits
-from hitchhike_ros.servoing.driver_trail import Trail
+from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 
 # A marker nearer than this is taken to be this far, where a formula has a pole at the camera (chosen).
@@ -58,7 +58,7 @@ class View:
     """What a law acts upon: own pose and the driver's trail in ``odom``, the target, and the driver's signed speed."""
 
     own: Pose2D
-    trail: Trail
+    trail: DriverTrail
     target: Target
     driver_speed: float
 
@@ -83,7 +83,7 @@ class TrailLaw:
         v = max(0.0, v)
         return v, v * self.curvature(view.own, view.trail)
 
-    def curvature(self, own: Pose2D, trail: Trail) -> float:
+    def curvature(self, own: Pose2D, trail: DriverTrail) -> float:
         """Of the arc to the point of the trail that is aimed at, 1/m."""
         s = trail.advance(own.x, own.y)
         target = trail.at(s + self._params.lookahead_m)

@@ -10,7 +10,7 @@ from flat_world import TURTLEBOT as LIMITS
 from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.geometry import compose, wrap_angle
 from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
-from hitchhike_ros.servoing.driver_trail import Trail
+from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 
 P, DT = FollowParameters(), 0.1
@@ -18,7 +18,7 @@ P, DT = FollowParameters(), 0.1
 
 def search(departure, trail=None, known_m=0.9, seconds=20.0):
     """Poses, twists and states of a follower at the origin that has lost its driver."""
-    trail = trail or Trail((0.0, 0.0), (1.2, 0.0))
+    trail = trail or DriverTrail((0.0, 0.0), (1.2, 0.0))
     seeker, own, log = DriverSearch(P, LIMITS, departure, 0.0), Pose2D(), []
     for i in range(round(seconds / DT)):
         driven = trail.advance(own.x, own.y)
@@ -47,7 +47,7 @@ def test_a_robot_that_stood_does_not_coast():
 
 def test_coasting_keeps_to_the_trail():
     arc = [(math.sin(a), 1.0 - math.cos(a)) for a in (0.1 * i for i in range(13))]
-    log = search(Departure(0.5, 0.3, 0.5), Trail(*arc), known_m=0.8)
+    log = search(Departure(0.5, 0.3, 0.5), DriverTrail(*arc), known_m=0.8)
     coasted = [own for own, _, state in log if state == "coasting"]
     assert len(coasted) > 5
     assert max(abs(math.hypot(own.x, own.y - 1.0) - 1.0) for own in coasted) < 0.05
@@ -71,6 +71,6 @@ def test_it_turns_first_to_where_the_marker_left(bearing, turned, side):
 
 def test_turning_that_does_not_come_about_is_given_up():
     seeker = DriverSearch(P, LIMITS, Departure(0.0, 0.5, 0.0), 0.0)
-    states = [seeker.step(i * DT, Pose2D(), Trail((0.0, 0.0), (1.0, 0.0)), 0.0)[1] for i in range(200)]
+    states = [seeker.step(i * DT, Pose2D(), DriverTrail((0.0, 0.0), (1.0, 0.0)), 0.0)[1] for i in range(200)]
     assert states.index("lost") * DT == pytest.approx(P.search_timeout_s, abs=0.25)
     assert set(states[states.index("lost") :]) == {"lost"}

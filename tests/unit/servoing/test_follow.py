@@ -15,7 +15,7 @@ from hitchhike_ros.core.datatypes import MarkerObservation, Odometry, Pose2D, Tw
 from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.geometry import between, compose, move, wrap_angle
 from hitchhike_ros.servoing.driver_estimate import DriverEstimate
-from hitchhike_ros.servoing.driver_trail import Trail
+from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow import Decision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import saturate
@@ -404,14 +404,28 @@ def test_told_speed_counts_most_before_anything_was_seen_to_move():
 
 
 def test_trail_goes_on_past_the_driver_and_forgets_what_is_behind():
-    trail = Trail((0.0, 0.0), (1.0, 0.0))
+    trail = DriverTrail((0.0, 0.0), (1.0, 0.0))
     trail.extend((1.01, 0.0), 0.0, 0.03)
     assert trail.at(5.0) == pytest.approx((5.0, 0.0))
     trail.extend((0.8, 0.0), 0.0, 0.03)
     assert trail.at(5.0) == pytest.approx((5.0, 0.0))
     trail.extend((1.0, 1.0), 1.5, 0.03)
     assert trail.at(1.5) == pytest.approx((1.0, 0.5))
+    assert trail.advance(0.9, 0.1) == pytest.approx(0.9)
     assert trail.advance(1.0, 0.8) == pytest.approx(1.8)
     # A nearer point of the way already driven is not gone back to.
     assert trail.advance(0.5, 0.0) == pytest.approx(1.8)
     assert trail.at(1.9) == pytest.approx((1.0, 0.9))
+    # What lies more than half a metre behind is forgotten, corner by corner.
+    assert trail.at(0.0) == pytest.approx((1.0, 0.0))
+
+
+def test_the_follower_is_sought_a_metre_ahead_so_that_a_loop_is_not_cut_short():
+    trail = DriverTrail((0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0))
+    assert trail.advance(0.6, 0.7) == pytest.approx(0.6)  # though the way back is nearer
+    assert trail.advance(3.0, 0.0) == pytest.approx(1.6)
+
+
+def test_a_trail_of_one_place_leads_nowhere():
+    trail = DriverTrail((1.0, 2.0))
+    assert (trail.length, trail.at(0.5), trail.advance(3.0, 2.0)) == (0.0, (1.0, 2.0), 0.0)
