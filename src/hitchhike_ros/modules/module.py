@@ -43,11 +43,15 @@ class Health:
 
 @dataclass(frozen=True)
 class Refused:
-    """A message that could not be converted into ``what``; it is sensed like any input."""
+    """A message that could not be converted into ``what``; it is sensed like any input.
+
+    ``stamp`` is that of its header in s, where it has one: a frame that is refused is answered too.
+    """
 
     what: type
     reason: str
     sender: str = ""
+    stamp: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,18 +129,22 @@ class Fresh(Generic[T]):
         """The value, if it counts at ``now`` in s.
 
         Raises:
-            StaleInputError: none has come, or it is older than ``max_age_s``, or it is of a later time than ``now`` by
-                more than that, as after the clock was set back.
+            StaleInputError: none has come, or it has expired, or it is of a later time than ``now`` by more than
+                ``max_age_s``, as after the clock was set back.
         """
         if self._value is None:
             raise StaleInputError(f"no {self._what}")
-        if not abs(now - self.stamp) <= self._max_age_s:
+        if not self._counts(now):
             raise StaleInputError(f"no {self._what} for {abs(now - self.stamp):.1f} s")
         return self._value
 
     def get(self, now: float) -> T | None:
         """As :meth:`at`; None where that raises."""
-        return self._value if abs(now - self.stamp) <= self._max_age_s else None
+        return self._value if self._counts(now) else None
+
+    def _counts(self, now: float) -> bool:
+        """At ``expires()`` no more: a module that is stepped then must find that it has."""
+        return self.stamp - self._max_age_s <= now < self.expires()
 
 
 class Orders:

@@ -228,8 +228,12 @@ def path_to_msg(points: FloatArray, goal: Pose2D, stamp: float, frame_id: str = 
 
 
 def grid_from_msg(msg: OccupancyGridMsg) -> OccupancyGrid:
-    data = np.array(msg.data, dtype=np.int8).reshape(msg.info.height, msg.info.width)
-    return OccupancyGrid(data=data, resolution=msg.info.resolution, origin=pose_from_msg(msg.info.origin))
+    """Raises SensorDataError when it has no cells or not as many as it says, or its place is senseless."""
+    try:
+        data = np.array(msg.data, dtype=np.int8).reshape(msg.info.height, msg.info.width)
+        return OccupancyGrid(data=data, resolution=msg.info.resolution, origin=pose_from_msg(msg.info.origin))
+    except ValueError as exc:
+        raise SensorDataError(f"map: {exc}") from exc
 
 
 def grid_to_msg(grid: OccupancyGrid, stamp: float, frame_id: str = "map") -> OccupancyGridMsg:

@@ -204,7 +204,7 @@ class ModuleHost:
         except (SensorDataError, MessageError) as exc:
             sender = _sender(arrived.msg)
             self._log(inlet.topic, sender, str(exc), arrived.at)
-            self._robot.sense(Refused(inlet.what, str(exc), sender), arrived.at)
+            self._robot.sense(Refused(inlet.what, str(exc), sender, _stamp(arrived.msg)), arrived.at)
             return
         if isinstance(x, Status):
             self._robot.order(x, arrived.at)
@@ -261,6 +261,11 @@ class ModuleHost:
 def _sender(msg: Any) -> str:
     """The node that published a message, as far as that is known."""
     return str((getattr(msg, "_connection_header", None) or {}).get("callerid", "?"))
+
+
+def _stamp(msg: Any) -> float | None:
+    """Of its header, in s."""
+    return msg.header.stamp.to_sec() if hasattr(msg, "header") else None
 
 
 def _answer(future: Future[Any], function: Callable[[], Any]) -> None:

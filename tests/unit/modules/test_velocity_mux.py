@@ -267,8 +267,8 @@ def test_a_stop_lets_go_too() -> None:
 def test_an_order_that_is_not_repeated_leaves_the_base_to_the_human() -> None:
     mux = VelocityMux(PARAMS, P3DX)
     mux.order(status("off"), 10.0)
-    tell(mux, "teleop", FORWARD, 10.0 + ORDER_MAX_AGE_S)
-    assert driver(mux, 10.0 + ORDER_MAX_AGE_S) == ""
+    tell(mux, "teleop", FORWARD, 9.9 + ORDER_MAX_AGE_S)
+    assert driver(mux, 9.9 + ORDER_MAX_AGE_S) == ""
     tell(mux, "teleop", Twist2D(), 10.5 + ORDER_MAX_AGE_S)
     tell(mux, "teleop", FORWARD, 10.6 + ORDER_MAX_AGE_S)
     assert driver(mux, 10.6 + ORDER_MAX_AGE_S) == "teleop"
