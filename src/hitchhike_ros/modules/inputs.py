@@ -88,6 +88,9 @@ class PlannedPath:
     end: Pose2D | None
 
 
+NO_PATH = PlannedPath(np.empty((0, 2)), None)
+
+
 @dataclass(frozen=True)
 class PlanReport:
     """How planning for a goal fares: ``state`` is idle, waiting, planned or failed."""

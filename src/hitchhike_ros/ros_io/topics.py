@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgspec
+import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
+from nav_msgs.msg import Path
 from std_msgs.msg import String
 
 from hitchhike_ros.core.datatypes import Odometry, PoseEstimate, Twist2D
@@ -25,6 +27,7 @@ from hitchhike_ros.modules.inputs import (
     InitialPose,
     NavigationCommand,
     NetworkText,
+    PlannedPath,
     PlanReport,
     ServoingCommand,
     TeleopCommand,
@@ -37,7 +40,11 @@ from hitchhike_ros.ros_io.conversions import (
     estimate_from_msg,
     estimate_to_msg,
     grid_from_msg,
+    header,
     odometry_from_msg,
+    path_from_msg,
+    path_to_msg,
+    pose_from_msg,
     twist_from_msg,
     twist_to_msg,
 )
@@ -84,9 +91,8 @@ def _twist_of(command: type) -> Callable[[Twist], object]:
 
 
 def _json_of(cls: type, topic: str) -> Callable[[String], Any]:
-    decoder: msgspec.json.Decoder[Any] = msgspec.json.Decoder(
-        cls
-    )  # made once: msgspec crashes when two threads make the first one of a type
+    # Made once: msgspec crashes when two threads make the first one of a type.
+    decoder: msgspec.json.Decoder[Any] = msgspec.json.Decoder(cls)
 
     def decode(msg: String) -> Any:
         try:
@@ -104,12 +110,16 @@ def _estimate(msg: PoseWithCovarianceStamped) -> PoseEstimate:
     return estimate
 
 
+def _planned_path(msg: Path) -> PlannedPath:
+    return PlannedPath(path_from_msg(msg), pose_from_msg(msg.poses[-1].pose) if msg.poses else None)
+
+
 _decode_boxes = _json_of(NewObstacles, "new_obstacles")
 
 
 def _heard(msg: String) -> NetworkText:
-    header = getattr(msg, "_connection_header", None) or {}
-    return NetworkText(msg.data, str(header.get("callerid", "?")))
+    connection = getattr(msg, "_connection_header", None) or {}
+    return NetworkText(msg.data, str(connection.get("callerid", "?")))
 
 
 INLETS: dict[type, Inlet] = {
@@ -121,6 +131,7 @@ INLETS: dict[type, Inlet] = {
         # From module to module.
         Inlet(PoseEstimate, "amcl_pose", PoseWithCovarianceStamped, _estimate),
         Inlet(OccupancyGrid, "map", OccupancyGridMsg, grid_from_msg),
+        Inlet(PlannedPath, "plan", Path, _planned_path),
         Inlet(FoundObstacles, "new_obstacles", String, lambda msg: FoundObstacles(_decode_boxes(msg).obstacles)),
         Inlet(NavigationReport, "navigation/status", String, _json_of(NavigationReport, "navigation/status"), 10),
         Inlet(PlanReport, "path_planning/status", String, _json_of(PlanReport, "path_planning/status"), 10),
@@ -160,6 +171,12 @@ def _initial_pose(start: InitialPose) -> Iterable[PoseWithCovarianceStamped]:
     yield estimate_to_msg(start.estimate)
 
 
+def path_of(path: PlannedPath) -> Path:
+    """As a message of now, in ``map``; one without poses where there is no path."""
+    now = rospy.get_time()
+    return Path(header=header(now, "map")) if path.end is None else path_to_msg(path.points, path.end, now)
+
+
 VELOCITY_MUX = (Outlet("twist", "cmd_vel", Twist, _twists),)
 HITCHHIKE_COMM = (
     Outlet("messages", "~network_out", String, _texts, queue_size=50),
@@ -167,4 +184,8 @@ HITCHHIKE_COMM = (
     Outlet("handed_over", "hhike_msg/new_obstacles", String, _boxes, queue_size=10),
     Outlet("awards", "hhike_msg/award", String, _awards, latch=True, queue_size=10),
     Outlet("status", "hhike_msg/status", String, lambda status: _texts([encode_status(status)]), True, 10),
+)
+PATH_PLANNING = (
+    Outlet("report", "path_planning/status", String, _json, latch=True, queue_size=10),  # before what it tells of
+    Outlet("plan", "plan", Path, lambda plan: (path_of(plan),), latch=True),
 )

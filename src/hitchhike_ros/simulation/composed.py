@@ -29,10 +29,10 @@ from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.modules.inputs import NavigationCommand, ServoingCommand, TeleopCommand
+from hitchhike_ros.modules.inputs import NO_PATH, NavigationCommand, PlanReport, ServoingCommand, TeleopCommand
+from hitchhike_ros.modules.path_planning import PathPlanning, PathPlanningParameters
 from hitchhike_ros.modules.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.planning.replanner import Order, Plan, Replanner, ReplannerParameters
 from hitchhike_ros.protocol.agent import Traveller
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.machine import (
@@ -102,7 +102,7 @@ class ComposedRobot:
         )
         self.mapper = NewObstacleMapper(grid, load(MappingParameters, "mapping"))
         self._planner = GlobalPlanner(load(GlobalPlannerParameters, "global_planner"), self.limits)
-        self._replanner = Replanner(self._planner, load(ReplannerParameters, "path_planning"))
+        self._path_planning = PathPlanning(self._planner, load(PathPlanningParameters, "path_planning"))
         local_planner = load(LocalPlannerParameters, "obstacle_avoidance")
         self._local_planner = LocalPlanner(self.limits, local_planner)
         self._wall_params = load(WallAlignmentParameters, "wall_alignment")
@@ -135,7 +135,8 @@ class ComposedRobot:
         self.awards: list[Award] = []
         self.taken: list[PoseEstimate] = []
         self._map, self._mapped = grid, self.mapper.obstacles
-        self._plan = Plan()
+        self._plan = self._followed = NO_PATH
+        self._plan_report = PlanReport("", "idle")
         self._report: NavigationReport | None = None
         self._observations: list[MarkerObservation] = []
         self._seen_from = Pose2D()  # in odom, when the observations were made
@@ -174,6 +175,9 @@ class ComposedRobot:
             return
         if modules.MAP:
             self.mapper.update(scan, self.estimate, self._T_base_laser, self._others)
+        self._path_planning.sense(self.map, now)
+        self._path_planning.sense(self.estimate, now)
+        self._plan_path(now)
         if modules.PP and modules.OBS:
             self._navigate(scan, now, self.estimate)
 
@@ -250,6 +254,8 @@ class ComposedRobot:
             self._carry_out(effect, now, send)
         self.status = self.traveller.status(now)
         self._mux.order(self.status, now)
+        self._path_planning.order(self.status, now)
+        self._plan_path(now)
         if self.status.goal is None:
             self._report = None
             self._local_planner.clear()
@@ -274,11 +280,14 @@ class ComposedRobot:
         elif isinstance(effect, Award):
             self.awards.append(effect)
 
+    def _plan_path(self, now: float) -> None:
+        while self._path_planning.next_due(now) <= now:
+            outputs = self._path_planning.step(now)
+            self._plan = outputs.plan or self._plan
+            self._plan_report = outputs.report or self._plan_report
+
     def _navigate(self, scan: LaserScan, now: float, estimate: PoseEstimate) -> None:
         goal = self.status.goal
-        order = None if goal is None or goal.along_wall else Order(goal.id, goal.pose)
-        blocked = self._report is not None and self._report.state == "blocked"
-        plan = self._replanner.step(now, order, self.map, estimate, blocked)
         if goal is None:
             return
         if goal.along_wall:
@@ -291,18 +300,19 @@ class ComposedRobot:
                     return
                 self._local_planner.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
                 self._turns_for = goal.id
-        elif plan.state != "planned":
-            self._report = NavigationReport(goal.id, plan.state, plan.reason)
+        elif self._plan.end is None:
+            self._report = NavigationReport(goal.id, self._plan_report.state, self._plan_report.reason)
             return
-        elif plan is not self._plan:
-            self._plan = plan
-            self._local_planner.set_path(plan.path, goal.pose, goal.tolerance_m, goal.tolerance_rad)
+        elif self._plan is not self._followed:
+            self._followed = self._plan
+            self._local_planner.set_path(self._plan.points, goal.pose, goal.tolerance_m, goal.tolerance_rad)
         twist = self.body.odometry().twist
         limit = self.status.speed_limit_mps or self.limits.max_speed_mps
         decision = self._local_planner.step(
             now, estimate.pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider, self._others
         )
         self._report = NavigationReport(goal.id, decision.state, decision.reason)
+        self._path_planning.sense(self._report, now)
         self._mux.sense(NavigationCommand(decision.twist), now)
 
 

@@ -1,0 +1,88 @@
+"""What one module publishes is what another one takes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import rospy
+from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
+from std_msgs.msg import String
+
+from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.core.errors import MessageError, SensorDataError
+from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.modules.inputs import NO_PATH, PlannedPath, PlanReport
+from hitchhike_ros.protocol.machine import NavigationReport
+from hitchhike_ros.ros_io.conversions import grid_to_msg
+from hitchhike_ros.ros_io.topics import INLETS, PATH_PLANNING, Outlet
+
+
+@pytest.fixture(autouse=True)
+def _ros_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rospy, "get_time", lambda: 12.5)
+
+
+def handed_on(outlets: tuple[Outlet, ...], what: type, value: object) -> Any:
+    """``value`` as it arrives at a module that takes ``what``, by way of its topic."""
+    inlet = INLETS[what]
+    (outlet,) = (outlet for outlet in outlets if outlet.topic == inlet.topic)
+    (msg,) = outlet.convert(value)
+    assert isinstance(msg, outlet.cls)
+    return inlet.convert(msg)
+
+
+def test_a_plan_arrives_with_its_end() -> None:
+    points, end = np.array([(0.0, 0.5), (1.0, 0.5), (1.0, 2.0)]), Pose2D(1.0, 2.0, -2.5)
+    arrived = handed_on(PATH_PLANNING, PlannedPath, PlannedPath(points, end))
+    np.testing.assert_array_equal(arrived.points, points)
+    assert (arrived.end.x, arrived.end.y) == (1.0, 2.0)
+    assert arrived.end.theta == pytest.approx(-2.5)
+    (msg,) = PATH_PLANNING[1].convert(PlannedPath(points, end))
+    assert (msg.header.frame_id, msg.header.stamp.to_sec()) == ("map", 12.5)
+
+
+def test_a_lack_of_a_plan_arrives() -> None:
+    arrived = handed_on(PATH_PLANNING, PlannedPath, NO_PATH)
+    assert (arrived.end, arrived.points.shape) == (None, (0, 2))
+    (msg,) = PATH_PLANNING[1].convert(NO_PATH)
+    assert (msg.header.frame_id, msg.header.stamp.to_sec()) == ("map", 12.5)
+
+
+def test_a_report_arrives() -> None:
+    report = PlanReport("7", "failed", "no way")
+    assert handed_on(PATH_PLANNING, PlanReport, report) == report
+
+
+def test_the_report_of_a_plan_is_published_before_it() -> None:
+    assert [outlet.field for outlet in PATH_PLANNING] == ["report", "plan"]
+
+
+@pytest.mark.parametrize("what", [PlanReport, NavigationReport])
+@pytest.mark.parametrize("text", ["", "{}", '{"goal_id": 1, "state": "idle"}', "[]"])
+def test_a_text_that_is_no_report_is_refused(what: type, text: str) -> None:
+    inlet = INLETS[what]
+    with pytest.raises(MessageError, match=inlet.topic):
+        inlet.convert(String(text))
+
+
+def test_a_path_with_a_senseless_end_leads_nowhere() -> None:
+    (msg,) = PATH_PLANNING[1].convert(PlannedPath(np.zeros((2, 2)), Pose2D()))
+    msg.poses[-1].pose.orientation.w = 0.0
+    assert math.isnan(INLETS[PlannedPath].convert(msg).end.theta)
+
+
+def test_a_map_arrives_and_a_senseless_one_is_refused() -> None:
+    grid = OccupancyGrid(np.arange(6).reshape(2, 3), 0.05, Pose2D(1.0, 2.0))
+    convert = INLETS[OccupancyGrid].convert
+    arrived = convert(grid_to_msg(grid, 0.0))
+    np.testing.assert_array_equal(arrived.data, grid.data)
+    bad = [OccupancyGridMsg(), grid_to_msg(grid, 0.0), grid_to_msg(grid, 0.0), grid_to_msg(grid, 0.0)]
+    bad[1].data = bad[1].data[:-1]
+    bad[2].info.resolution = 0.0
+    bad[3].info.origin.position.x = math.nan
+    for msg in bad:
+        with pytest.raises(SensorDataError, match="map"):
+            convert(msg)
