@@ -24,21 +24,25 @@ ORDER_OF_STEPS = (
 
 @dataclass(frozen=True)
 class Wire:
-    """What module ``source`` says in ``field`` of its outputs goes to the modules ``sinks``."""
+    """What module ``source`` says in ``field`` of its outputs goes to the modules ``sinks``.
+
+    What is ``kept`` goes also to a sink that begins to take it later, as from a latched topic.
+    """
 
     source: str
     field: str
     sinks: tuple[str, ...]
+    kept: bool = False
 
 
 WIRES = (
     Wire("slam", "pose", ("mapping_3d", "path_planning", "obstacle_avoidance", "hitchhike_comm")),
-    Wire("slam", "grid", ("path_planning", "hitchhike_comm")),
-    Wire("slam", "boxes", ("hitchhike_comm",)),
-    Wire("path_planning", "plan", ("obstacle_avoidance",)),
-    Wire("path_planning", "report", ("hitchhike_comm",)),
+    Wire("slam", "grid", ("path_planning", "hitchhike_comm"), kept=True),
+    Wire("slam", "boxes", ("hitchhike_comm",), kept=True),
+    Wire("path_planning", "plan", ("obstacle_avoidance",), kept=True),
+    Wire("path_planning", "report", ("hitchhike_comm",), kept=True),
     Wire("obstacle_avoidance", "command", ("velocity_mux",)),
-    Wire("obstacle_avoidance", "report", ("path_planning", "hitchhike_comm")),
+    Wire("obstacle_avoidance", "report", ("path_planning", "hitchhike_comm"), kept=True),
     Wire("visual_servoing", "command", ("velocity_mux",)),
     Wire("visual_servoing", "observations", ("slam", "hitchhike_comm")),
     Wire("hitchhike_comm", "initial_pose", ("slam",)),
@@ -61,12 +65,13 @@ class Robot:
         self.modules = {name: modules[name] for name in ORDER_OF_STEPS if name in modules}
         self._wires = {
             name: [
-                (wire.field, [self.modules[sink] for sink in wire.sinks if sink in self.modules])
+                (wire, [self.modules[sink] for sink in wire.sinks if sink in self.modules])
                 for wire in WIRES
                 if wire.source == name
             ]
             for name in self.modules
         }
+        self._kept: dict[type, object] = {}
         said = {
             kind for wire in WIRES if wire.source in self.modules for kind in kinds(self.modules[wire.source], wire)
         }
@@ -104,15 +109,25 @@ class Robot:
         return said
 
     def _hand_on(self, source: str, outputs: Outputs, now: float) -> None:
-        for field, sinks in self._wires[source]:
-            value = getattr(outputs, field)
+        for wire, sinks in self._wires[source]:
+            value = getattr(outputs, wire.field)
             if value is None:
                 continue
+            if wire.kept:
+                self._kept[type(value)] = value
             for sink in sinks:
                 if isinstance(value, Status):
-                    sink.order(value, now)
+                    self._give_order(sink, value, now)
                 elif type(value) in sink.listens():
                     sink.sense(value, now)
+
+    def _give_order(self, sink: Module[Any], status: Status, now: float) -> None:
+        """Hand on an order, and to a module that begins to listen what it has missed."""
+        before = sink.listens()
+        sink.order(status, now)
+        for kind, value in self._kept.items():
+            if kind in sink.listens() - before:
+                sink.sense(value, now)
 
 
 def kinds(module: Module[Any], wire: Wire) -> tuple[type, ...]:

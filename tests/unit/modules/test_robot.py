@@ -9,7 +9,7 @@ from typing import ClassVar
 import pytest
 
 from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, Twist2D
-from hitchhike_ros.modules.inputs import InitialPose, NavigationCommand
+from hitchhike_ros.modules.inputs import InitialPose, NavigationCommand, PlannedPath, PlanReport
 from hitchhike_ros.modules.module import Health, Order, Outputs, Refused
 from hitchhike_ros.modules.robot import ORDER_OF_STEPS, WIRES, Robot
 from hitchhike_ros.protocol.machine import GoalCancelled, NavigationReport
@@ -34,6 +34,12 @@ class CommLikeOutputs(Outputs):
 @dataclass(frozen=True, kw_only=True)
 class MuxLikeOutputs(Outputs):
     twist: Twist2D | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanningLikeOutputs(Outputs):
+    report: PlanReport | None = None
+    plan: PlannedPath | None = None
 
 
 @dataclass
@@ -73,6 +79,21 @@ class Comm(Fake):
     inputs = frozenset({Odometry, NavigationReport})
 
     def step(self, now: float) -> CommLikeOutputs:
+        return super().step(now)  # type: ignore[return-value]
+
+
+@dataclass
+class Planning(Fake):
+    """Begins to listen at an order."""
+
+    inputs = frozenset({NavigationReport, NavigationCommand})
+    wakes: bool = False
+
+    def order(self, order: Order, now: float) -> None:
+        super().order(order, now)
+        self.deaf &= not self.wakes
+
+    def step(self, now: float) -> PlanningLikeOutputs:
         return super().step(now)  # type: ignore[return-value]
 
 
@@ -134,6 +155,21 @@ def test_a_module_that_does_not_listen_is_told_nothing_by_the_others(fakes: dict
     fakes["obstacle_avoidance"].says = [PoseLikeOutputs(health=OK, command=COMMAND)]
     Robot(fakes).step(2.0)
     assert fakes["velocity_mux"].told == []
+
+
+@pytest.mark.parametrize("begins", [False, True])
+def test_a_module_that_begins_to_listen_gets_what_it_has_missed(fakes: dict[str, Fake], begins: bool) -> None:
+    old, new, status = NavigationReport("g", "driving"), NavigationReport("g", "blocked"), Status(0.0, "p3dx")
+    comm, planning = Comm(), Planning(deaf=begins, wakes=True)
+    robot = Robot({**fakes, "hitchhike_comm": comm, "path_planning": planning})
+    fakes["obstacle_avoidance"].says = [PoseLikeOutputs(health=OK, command=COMMAND, report=old)]
+    robot.step(2.0)
+    fakes["obstacle_avoidance"].says = [PoseLikeOutputs(health=OK, report=new)]
+    robot.step(3.0)
+    comm.says = [CommLikeOutputs(health=OK, status=status)] * 2
+    robot.step(4.0)
+    robot.step(5.0)
+    assert planning.told == ([status, new, status] if begins else [old, new, status, status])
 
 
 def test_goals_are_for_hitchhike_comm(fakes: dict[str, Fake]) -> None:
