@@ -227,6 +227,8 @@ def rider_in(state: HitchhikerState, sites: Sites = SITES, **params: Any) -> Ben
     for cls, then in ((Accept, S.LOCKING), (Ack, S.AWAITING_ALIGNED), (Aligned, S.COUPLING)):
         if reached >= way.index(then):
             bench.hear(cls, **({"of": Lock.type} if cls is Ack else {}))
+            if machine.params.mode == "network" and cls is not Aligned:  # then it chooses, or is sent off
+                bench.wait()
     if reached >= way.index(S.RIDING):
         bench.gap = machine.params.gap_m
         bench.wait(machine.params.repeat_period_s + 0.2)

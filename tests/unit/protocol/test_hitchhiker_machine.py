@@ -178,6 +178,43 @@ def test_aligned_that_confirms_the_lock_settles_all_offers() -> None:
     assert bench.machine._offers == {}
 
 
+# Meeting from afar.
+
+
+def _asked_from(bench: Bench, pose: Pose2D) -> float:
+    """An offer is taken by a robot that stands at ``pose``; in how many seconds it says then that it will be there."""
+    bench.pose = pose
+    bench.hear(Accept)
+    bench.wait(2.0)
+    assert bench.machine.state is S.LOCKING
+    return bench.take(Lock)[-1].in_s
+
+
+def test_a_new_request_is_made_from_where_the_robot_is_now() -> None:
+    """A robot that had stood in place for the meeting before said that it was in place for the next one."""
+    bench = rider_in(S.REQUESTING, mode="network")
+    away = compose(WEST.waiting_pose, Pose2D(-6.0))
+    in_s = _asked_from(bench, away)
+    assert in_s >= 6.0 / bench.machine.params.cruise_speed_mps
+    bench.hear(Ack, of=Lock.type, in_s=5.0)
+    bench.wait()
+    bench.pose = WEST.waiting_pose
+    way = bench.machine.way
+    bench.step(Tick(replace(bench.situation(), navigation=NavigationReport(way.id, "arrived"))))
+    assert bench.machine.way is None
+    bench.hear(Terminate)
+    assert _asked_from(bench, away) == in_s
+    bench.hear(Aligned)  # of a driver that cannot know that it is not there yet
+    assert bench.machine.state is S.LOCKING
+
+
+@pytest.mark.parametrize("state", S)
+def test_a_ride_that_is_over_ends_now(state: HitchhikerState) -> None:
+    """While it localized after the ride, it told its next driver that the ride was still to come."""
+    over = state in (S.IDLE, S.REQUESTING, S.RELOCALIZING, S.PARTING)
+    assert (rider_in(state, mode="network").machine.leaves_in_s() == 0.0) is over
+
+
 # Timeouts: every state that waits ends by itself.
 
 

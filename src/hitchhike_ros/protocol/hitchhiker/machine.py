@@ -616,6 +616,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._rides, self._taken_over = self._rides + 1, False
         self.ride_id = f"{self.robot_id}-{self._rides}-{self._now:.1f}"
         self._requested_at, self._offers, self._answered, self.meeting = self._now, {}, set(), None
+        self._sent_off, self._way = False, None
 
     def _ask_again(self, reason: str) -> None:
         """Back to asking, as long as T_hwait of the first request allows."""
@@ -710,7 +711,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def leaves_in_s(self) -> float:
         """Until the present ride ends, as far as can be told."""
-        if self.meeting is None:
+        if self.meeting is None or self.state in (S.RELOCALIZING, S.PARTING):
             return 0.0
         if self.state not in (*COUPLED, *RETURNING):
             return max(0.0, self._due_at - self._now) + self.meeting.ends_in_s - self.meeting.in_s
