@@ -242,14 +242,3 @@ def test_the_scripted_human_drives_round_a_corner() -> None:
         hand.drive(wanted, 0.1)
         assert hand.world.now < 60.0, pressed
     assert {"w", "d"} <= set(pressed)
-
-
-def test_the_scripted_human_turns_on_the_spot_first_where_the_route_lies_behind() -> None:
-    human = ScriptedHuman(HumanParameters())
-    route = np.array([(0.0, 0.0), (-5.0, 0.0)])
-    assert human.keys(Pose2D(-4.5, 0.0, 0.1), route, 0.0) == "w", "there it parks"
-    human = ScriptedHuman(HumanParameters())
-    assert human.keys(Pose2D(0.0, 0.0, 0.1), route, 0.0) == " a"
-    assert human.keys(Pose2D(0.0, 0.0, 0.2), route, 0.05) == "", "a held key repeats so often"
-    assert human.keys(Pose2D(0.0, 0.0, 2.5), route, 0.2) == "a"
-    assert human.keys(Pose2D(0.0, 0.0, 3.1), route, 0.4) == "w"
