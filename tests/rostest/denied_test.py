@@ -32,7 +32,7 @@ class DeniedTest(unittest.TestCase):
         self.assertNotIn("riding", asked)
         first, last = watch.of_type(Request)[0], watch.of_type(Request)[-1]
         waited = last.time_stamp - first.time_stamp
-        self.assertLessEqual(waited, rospy.get_param("/turtlebot/hitchhike_comm/max_wait_s"))
+        self.assertLessEqual(waited, rospy.get_param("/turtlebot/hitchhiking/max_wait_s"))
         driver_states = {s.state for s in watch.statuses["p3dx"]}
         self.assertLessEqual(driver_states, {"idle", "navigating"})
 

@@ -13,6 +13,7 @@ import rospy
 from hitchhike_ros.core.errors import CreditError, LedgerError, ParameterError
 from hitchhike_ros.protocol.award_ledger import FILE_NAME, AwardLedger, Credit
 from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.ros_io.parameters import given
 
 # Wall time. A robot does not stand still for a ledger that is busy: it tries again.
 _BUSY_S, _RETRY_S = 0.2, 10.0
@@ -30,7 +31,7 @@ class AwardKeeper:
     """
 
     def __init__(self, driver: str) -> None:
-        name = rospy.get_param("~awards", str(default_ledger()))
+        name = given("awards", str(default_ledger()))
         if not isinstance(name, str):
             raise ParameterError(rospy.get_name(), "~awards", name, "the path of a file, or nothing")
         self.trouble = ""

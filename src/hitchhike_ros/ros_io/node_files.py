@@ -16,7 +16,7 @@ from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites, load_hitchhiking, load_sites
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.ros_io.conversions import grid_from_msg
-from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import given, is_given, node_parameters, path_parameter
 
 T = TypeVar("T")
 
@@ -32,7 +32,7 @@ class NodeFiles:
     @property
     def robot_id(self) -> str:
         """The robot's name in the protocol."""
-        return str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))
+        return str(given("robot_id", rospy.get_namespace().strip("/")))
 
     @property
     def first_seq(self) -> int:
@@ -51,7 +51,7 @@ class NodeFiles:
         Raises:
             HitchhikeError: the service gave none.
         """
-        timeout_s = convert(rospy.get_param("~map_timeout_s", 60.0), Positive, rospy.get_name(), "~map_timeout_s")
+        timeout_s = convert(given("map_timeout_s", 60.0), Positive, rospy.get_name(), "~map_timeout_s")
         try:
             rospy.wait_for_service("static_map", timeout_s)
             return grid_from_msg(rospy.ServiceProxy("static_map", GetMap)().map)
@@ -82,4 +82,4 @@ class NodeFiles:
 
     def has(self, link: str) -> bool:
         """Whether the file ~urdf has such a link; also no where there is no such parameter."""
-        return rospy.has_param("~urdf") and link in fixed_transforms(path_parameter("urdf"))
+        return is_given("urdf") and link in fixed_transforms(path_parameter("urdf"))

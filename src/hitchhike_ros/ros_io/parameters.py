@@ -1,11 +1,16 @@
-"""Parameters of a node: its dataclass's defaults, then its section of the file ``~config``, then private ones."""
+"""Parameters of a node.
+
+What all nodes of a robot share, as ``config`` and ``urdf``, may be a parameter of the robot's namespace; a private one
+comes before it. A component's parameters are its dataclass's defaults, then its section of the file ``config``, then
+the parameters ``SECTION/FIELD`` of the robot's namespace, then private ones with the names of its fields.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import rosgraph.names
 import rospy
@@ -16,27 +21,41 @@ from hitchhike_ros.core.parameters import load_parameters
 T = TypeVar("T")
 
 
+def given(name: str, default: Any = None) -> Any:
+    """The node's private parameter ``name``, or else the one of the robot's namespace, or else ``default``."""
+    return rospy.get_param(f"~{name}") if rospy.has_param(f"~{name}") else rospy.get_param(name, default)
+
+
+def is_given(name: str) -> bool:
+    """Whether :func:`given` finds a parameter."""
+    return bool(rospy.has_param(f"~{name}") or rospy.has_param(name))
+
+
 def node_parameters(cls: type[T], section: str, changes: Mapping[str, object] | None = None) -> T:
-    """Checked parameters of one component; ``changes`` come after the file and before private parameters.
+    """Checked parameters of one component; ``changes`` come after the file and before all other parameters.
 
     Raises:
-        ParameterError: names the file or the private parameter, its value and what was expected.
+        ParameterError: names the file or the parameter, its value and what was expected.
     """
+    of_robot = rospy.get_param(section, {})
+    if not isinstance(of_robot, dict):
+        raise ParameterError(rospy.get_name(), rospy.resolve_name(section), of_robot, "a mapping of parameters")
     private = {
         f.name: rospy.get_param(f"~{f.name}")
         for f in fields(cls)  # type: ignore[arg-type]
         if rospy.has_param(f"~{f.name}")
     }
-    return load_parameters(cls, section, rospy.get_param("~config", "") or None, {**(changes or {}), **private})
+    overrides = {**(changes or {}), **of_robot, **private}
+    return load_parameters(cls, section, given("config", "") or None, overrides)
 
 
 def path_parameter(name: str) -> Path:
-    """The existing file named by private parameter ``name``.
+    """The existing file named by parameter ``name``, as of :func:`given`.
 
     Raises:
         ParameterError: the parameter is missing or names no file.
     """
-    value = rospy.get_param(f"~{name}", "")
+    value = given(name, "")
     path = Path(str(value))
     if not value or not path.is_file():
         raise ParameterError(rospy.get_name(), f"~{name}", value, "the path of an existing file")
@@ -61,12 +80,12 @@ def folder_parameter(name: str) -> Path:
 
 
 def network_topic(name: str) -> str:
-    """The topic that private parameter ``name`` says, where the robots talk with each other.
+    """The topic that parameter ``name`` says, as of :func:`given`, where the robots talk with each other.
 
     Raises:
         ParameterError: it is no name of a topic.
     """
-    topic = rospy.get_param(f"~{name}", "/hhike_msg/network")
+    topic = given(name, "/hhike_msg/network")
     if not isinstance(topic, str) or not rosgraph.names.is_legal_name(topic) or not topic:
         raise ParameterError(rospy.get_name(), f"~{name}", topic, "the name of a topic")
     return topic
@@ -74,5 +93,5 @@ def network_topic(name: str) -> str:
 
 def frame(name: str) -> str:
     """``<robot>/name``: the robot's frames carry ``~tf_prefix``, by default the node's namespace."""
-    prefix = str(rospy.get_param("~tf_prefix", rospy.get_namespace())).strip("/")
+    prefix = str(given("tf_prefix", rospy.get_namespace())).strip("/")
     return f"{prefix}/{name}" if prefix else name

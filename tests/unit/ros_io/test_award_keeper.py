@@ -25,6 +25,7 @@ def keeper(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Build:
     def build(**params: object) -> AwardKeeper:
         names = {"awards": "~awards", "run_id": "/run_id", "use_sim_time": "/use_sim_time"}
         known = {names[key]: value for key, value in params.items()}
+        monkeypatch.setattr(rospy, "has_param", known.__contains__)
         monkeypatch.setattr(rospy, "get_param", lambda name, default=None: known.get(name, default))
         return AwardKeeper("p3dx")
 

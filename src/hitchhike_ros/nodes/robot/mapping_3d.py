@@ -63,7 +63,7 @@ from hitchhike_ros.ros_io.conversions import (
     header,
 )
 from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, StatusListener, Switch, run
-from hitchhike_ros.ros_io.parameters import network_topic, node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import given, network_topic, node_parameters, path_parameter
 from hitchhike_ros.ros_io.timer import Timer
 
 # The core is stepped so often while it maps or a map is under way (s).
@@ -88,7 +88,7 @@ class Mapping3D:
         self._params = node_parameters(Mapping3DParameters, "mapping_3d")
         self._tree_params = node_parameters(OctreeParameters, "octree")
         self._transfer_params = node_parameters(TransferParameters, "map_transfer")
-        self._robot_id = str(rospy.get_param("~robot_id", rospy.get_namespace().strip("/")))
+        self._robot_id = str(given("robot_id", rospy.get_namespace().strip("/")))
         # None without a depth camera.
         self._T_base_camera = fixed_transforms(path_parameter("urdf")).get("depth_camera_optical")
         self._seq = int(rospy.Time.now().to_sec() * 1000)

@@ -88,7 +88,7 @@ from hitchhike_ros.ros_io.conversions import (
     scan_from_msg,
 )
 from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
-from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import frame, given, is_given, node_parameters, path_parameter
 from hitchhike_ros.ros_io.timer import Timer
 
 # Without a scan for longer than this, the diagnosis says so (chosen).
@@ -120,7 +120,7 @@ class Slam:
         self._mapped_at = -math.inf
         self._modules = ModuleSwitches(LZN=False, MAP=False)
         self._others: list[tuple[Pose2D, float]] = []
-        method = rospy.get_param("~method", "ekf")
+        method = given("method", "ekf")
         if method not in get_args(Method):
             raise ParameterError(rospy.get_name(), "~method", method, f"one of {', '.join(get_args(Method))}")
         # Its features of the map are computed once; ``_localizer`` is it while the module is on.
@@ -369,24 +369,23 @@ def _initial_pose() -> PoseEstimate | None:
         ParameterError: one of them is no number, or only some of the three are given.
     """
     names = ("initial_pose_x", "initial_pose_y", "initial_pose_a")
-    given = [name for name in names if rospy.has_param(f"~{name}")]
-    if not given:
+    named = [name for name in names if is_given(name)]
+    if not named:
         return None
-    if len(given) < len(names):
-        missing = next(name for name in names if name not in given)
+    if len(named) < len(names):
+        missing = next(name for name in names if name not in named)
         raise ParameterError(rospy.get_name(), f"~{missing}", None, "a number, as the other two are given")
-    x, y, a = (convert(rospy.get_param(f"~{name}"), float, rospy.get_name(), f"~{name}") for name in names)
+    x, y, a = (convert(given(name), float, rospy.get_name(), f"~{name}") for name in names)
     defaults = {"xx": 0.25, "yy": 0.25, "aa": (math.pi / 12.0) ** 2}
     variances = [
-        convert(rospy.get_param(f"~initial_cov_{k}", v), float, rospy.get_name(), f"~initial_cov_{k}")
-        for k, v in defaults.items()
+        convert(given(f"initial_cov_{k}", v), float, rospy.get_name(), f"~initial_cov_{k}") for k, v in defaults.items()
     ]
     return PoseEstimate(rospy.get_time(), Pose2D(x, y, a), np.diag(variances))
 
 
 def _static_map() -> OccupancyGrid:
     """The map of map_server, awaited for a bounded time."""
-    timeout_s = convert(rospy.get_param("~map_timeout_s", 60.0), float, rospy.get_name(), "~map_timeout_s")
+    timeout_s = convert(given("map_timeout_s", 60.0), float, rospy.get_name(), "~map_timeout_s")
     try:
         rospy.wait_for_service("static_map", timeout_s)
         return grid_from_msg(rospy.ServiceProxy("static_map", GetMap)().map)

@@ -75,7 +75,7 @@ from hitchhike_ros.ros_io.conversions import (
     twist_to_msg,
 )
 from hitchhike_ros.ros_io.node import ERROR, OK, WARN, Diagnostics, LockstepAnswer, StatusListener, Switch, run
-from hitchhike_ros.ros_io.parameters import frame, node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import frame, is_given, node_parameters, path_parameter
 from hitchhike_ros.ros_io.timer import Timer
 from hitchhike_ros.servoing.follow import Decision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
@@ -128,16 +128,16 @@ class VisualServoing:
         self._following = ""  # what the law said last
         self._tracker = self._make_tracker()
         self._T_base_camera: FloatArray = (
-            mount(path_parameter("urdf"), "camera_optical") if rospy.has_param("~urdf") else T_FORWARD_OPTICAL
+            mount(path_parameter("urdf"), "camera_optical") if is_given("urdf") else T_FORWARD_OPTICAL
         )
         self._law: FollowLaw | None = None
         self._limiter: SafetyLimiter | None = None
-        if rospy.has_param("~config"):
+        if is_given("config"):
             limits = node_parameters(RobotLimits, "robot")
             self._law = FollowLaw(
                 node_parameters(FollowParameters, "follow"), limits, camera_x_m=float(self._T_base_camera[0, 3])
             )
-            laser = fixed_transforms(path_parameter("urdf")).get("laser") if rospy.has_param("~urdf") else None
+            laser = fixed_transforms(path_parameter("urdf")).get("laser") if is_given("urdf") else None
             self._limiter = None if laser is None else SafetyLimiter(limits, pose_from_matrix(laser))
         self._camera_frame = frame("camera_optical")
         self._lock = threading.RLock()
