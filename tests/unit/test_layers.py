@@ -20,7 +20,7 @@ NAVIGATION = (*CORE, "mapping", "planning", "localization", "control", "servoing
 ROBOT = (*NAVIGATION, "protocol", "modules")
 SIMULATION = (
     *(*ROBOT, "simulation", "simulation/physics", "simulation/grid", "simulation/composed"),
-    *("simulation/people", "simulation/world_file", "simulation/radio", "simulation/lockstep"),
+    *("simulation/people", "simulation/world_file", "simulation/radio", "simulation/lockstep", "simulation/frames"),
 )
 ROOMS = tuple(f"experiments/{room}" for room in ("scenarios", "scoring", "report", "faults", "bench"))
 EXPERIMENTS = (*SIMULATION, *ROOMS)
@@ -36,12 +36,13 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "servoing": (*CORE, "mapping"),
     "protocol": (*CORE, "mapping", "planning", "localization", "servoing", "control"),
     "modules": (*NAVIGATION, "protocol"),
-    "simulation": (*CORE, "mapping"),
+    "simulation": CORE,
     "simulation/people": CORE,
-    "simulation/world_file": (*CORE, "mapping", "protocol", "simulation/people", "simulation"),
+    "simulation/world_file": (*CORE, "mapping", "protocol", "simulation/people"),
     "simulation/lockstep": ("protocol",),
+    "simulation/frames": (*CORE, "protocol", "simulation/lockstep"),
     "simulation/radio": CORE,
-    "simulation/physics": (*CORE, "mapping", "servoing", "simulation", "simulation/people", "simulation/world_file"),
+    "simulation/physics": (*CORE, "mapping", "servoing", "simulation/people", "simulation/world_file"),
     "simulation/grid": (*CORE, "mapping", "planning", "protocol", "simulation/radio"),
     "simulation/composed": (*ROBOT, "simulation", "simulation/physics", "simulation/people", "simulation/world_file"),
     # Each room imports those before it; faults are about the protocol, and import no other room.

@@ -7,7 +7,9 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
 
 from hitchhike_ros.core.datatypes import NonNegative, Obstacle, Pose2D, Positive
 from hitchhike_ros.core.errors import WorldFileError
@@ -23,6 +25,8 @@ from hitchhike_ros.mapping.sites import (
 )
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.people import Person
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,37 @@ def load_world(path: Path | str) -> WorldFile:
     robots, people = _robots(content, path), read_list(content, "people", Person, path)
     check_people(people, {*robots, *(box.id for box in boxes)}, path)
     return WorldFile(path, map_file, robots, scalars.wall_height_m, boxes, parse_sites(content, path), people)
+
+
+@dataclass(frozen=True)
+class _BoxName:
+    id: str
+
+
+def decode_box(text: str, source: str) -> Box:
+    """A box as JSON, as it stands in a world file; ``source`` says where it comes from.
+
+    Raises:
+        WorldFileError: it is none.
+    """
+    return _decode(text, Box, source)
+
+
+def decode_box_id(text: str, source: str) -> str:
+    """The id in JSON ``{"id"}``.
+
+    Raises:
+        WorldFileError: there is none.
+    """
+    return _decode(text, _BoxName, source).id
+
+
+def _decode(text: str, cls: type[T], source: str) -> T:
+    try:
+        value = msgspec.json.decode(text)
+    except msgspec.DecodeError as exc:
+        raise WorldFileError(source, "", text, f"a JSON object ({exc})") from exc
+    return read_entry(value, cls, source, "box")
 
 
 def check_box(box: Box, path: Path | str, field_name: str) -> None:

@@ -79,8 +79,11 @@ class World:
         params: WorldParameters | None = None,
         *,
         package: Path | str,
+        start_s: float = 0.0,
     ) -> None:
         """Build it. ``package`` is the folder with ``urdf/<model>.urdf`` and ``config/<model>.yaml``.
+
+        Time begins at ``start_s``: 0, or what the system's clock says.
 
         Raises:
             WorldFileError, MapFileError, RobotModelError, ParameterError: a file cannot be used.
@@ -89,7 +92,8 @@ class World:
         self.params = params or WorldParameters()
         self.grid = load_map(self.file.map)
         self.dt = 1.0 / self.params.physics_rate_hz
-        self._steps, self._now = 0, 0.0
+        self._start_s, self._now = start_s, carried(start_s)
+        self._steps = 0
         self._check_robots(Path(package))
         self.client = p.connect(p.DIRECT)
         try:
@@ -114,8 +118,13 @@ class World:
 
     @property
     def now(self) -> float:
-        """Simulated time in s since the world was built, as a ROS stamp has it; :meth:`reset` does not turn it back."""
+        """Simulated time in s, as a ROS stamp has it; :meth:`reset` does not turn it back."""
         return self._now
+
+    @property
+    def elapsed_s(self) -> float:
+        """How much simulated time has been stepped through, in s."""
+        return self._steps / self.params.physics_rate_hz
 
     @property
     def boxes(self) -> tuple[Box, ...]:
@@ -130,11 +139,16 @@ class World:
             self._walk()
         p.stepSimulation(physicsClientId=self.client)
         self._steps += 1
-        self._now = carried(self._steps / self.params.physics_rate_hz)
+        self._now = carried(self._start_s + self._steps / self.params.physics_rate_hz)
         for robot in self.robots.values():
             self._note_contacts(robot)
             if self._steps % self.params.encoder_steps == 0:
                 robot.read_encoders()
+
+    def skip(self, seconds: float) -> None:
+        """Time passes, and nothing moves."""
+        self._start_s += seconds
+        self._now = carried(self._start_s + self._steps / self.params.physics_rate_hz)
 
     def run(self, duration_s: float) -> None:
         """As many steps as make ``duration_s``."""
@@ -226,7 +240,7 @@ class World:
         self._names.update({robot.body: name for name, robot in robots.items()})
         self.robots = MappingProxyType(robots)
         self.people = tuple(self._add_person(person) for person in self.file.people)
-        self._walk_from = 0.0
+        self._walk_from = self.now
 
     def _add_floor(self) -> None:
         rows, columns = self.grid.data.shape
