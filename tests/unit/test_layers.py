@@ -16,7 +16,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "hitchhike_ros"
 
 CORE = ("core",)
-NAVIGATION = (*CORE, "mapping", "planning", "localization", "control", "servoing")
+NAVIGATION = (*CORE, "mapping", "planning", "localization", "control", "servoing", "servoing/tag_cells")
 ROBOT = (*NAVIGATION, "protocol", "modules")
 SIMULATION = (
     *(*ROBOT, "simulation", "simulation/physics", "simulation/grid", "simulation/composed"),
@@ -33,7 +33,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "planning": (*CORE, "mapping"),
     "localization": (*CORE, "mapping"),
     "control": (*CORE, "mapping", "localization"),
-    "servoing": (*CORE, "mapping"),
+    "servoing": (*CORE, "mapping", "servoing/tag_cells"),
+    "servoing/tag_cells": CORE,
     "protocol": (*CORE, "mapping", "planning", "localization", "servoing", "control"),
     "modules": (*NAVIGATION, "protocol"),
     "simulation": CORE,
@@ -42,7 +43,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "simulation/lockstep": ("protocol",),
     "simulation/frames": (*CORE, "protocol", "simulation/lockstep"),
     "simulation/radio": CORE,
-    "simulation/physics": (*CORE, "mapping", "servoing", "simulation/people", "simulation/world_file"),
+    "simulation/physics": (*CORE, "mapping", "servoing/tag_cells", "simulation/people", "simulation/world_file"),
     "simulation/grid": (*CORE, "mapping", "planning", "protocol", "simulation/radio"),
     "simulation/composed": (*ROBOT, "simulation", "simulation/physics", "simulation/people", "simulation/world_file"),
     # Each room imports those before it; faults are about the protocol, and import no other room.
