@@ -37,15 +37,11 @@ def node_parameters(cls: type[T], section: str, changes: Mapping[str, object] | 
     Raises:
         ParameterError: names the file or the parameter, its value and what was expected.
     """
-    of_robot = rospy.get_param(section, {})
-    if not isinstance(of_robot, dict):
-        raise ParameterError(rospy.get_name(), rospy.resolve_name(section), of_robot, "a mapping of parameters")
-    private = {
-        f.name: rospy.get_param(f"~{f.name}")
-        for f in fields(cls)  # type: ignore[arg-type]
-        if rospy.has_param(f"~{f.name}")
-    }
-    overrides = {**(changes or {}), **of_robot, **private}
+    overrides = dict(changes or {})
+    for field in fields(cls):  # type: ignore[arg-type]
+        for name in (f"{section}/{field.name}", f"~{field.name}"):
+            if rospy.has_param(name):
+                overrides[field.name] = rospy.get_param(name)
     return load_parameters(cls, section, given("config", "") or None, overrides)
 
 
