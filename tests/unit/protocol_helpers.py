@@ -18,9 +18,12 @@ from hitchhike_ros.core.datatypes import (
     PoseEstimate,
 )
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.driver.machine import DriverMachine, DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine, HitchhikerState
-from hitchhike_ros.protocol.machine import Effect, GoalGiven, Machine, NavigationReport, Send, Situation, Tick
+from hitchhike_ros.protocol.driver.machine import DriverMachine
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.events import Effect, GoalGiven, NavigationReport, Send, Situation, Tick
+from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
+from hitchhike_ros.protocol.loose_machine import Machine
 from hitchhike_ros.protocol.matching import Planner
 from hitchhike_ros.protocol.messages import (
     Accept,

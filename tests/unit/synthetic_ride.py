@@ -13,8 +13,8 @@ from hitchhike_ros.experiments.scenarios.ride_record import (
     TimedEstimate,
     TimedPose,
 )
-from hitchhike_ros.protocol.driver.machine import ARRIVED
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import ModuleSwitches, RideStatus, ServoCommand, Status
 
 REQUESTED, OFFERED, ALIGNING, RIDING, DECOUPLING, RELEASED, END = 10.0, 14.0, 15.0, 25.0, 65.8, 70.8, 90.0
@@ -76,7 +76,7 @@ def _driver_statuses() -> list[Status]:
     other = RideStatus("other", "p3dx", "turtlebot", RIDE_M)
     statuses += [Status(12.0, "p3dx", "driver", "offering", ride=other)]  # for a ride that nobody took
     statuses += [Status(t, "p3dx", "driver", state, ride=_ride(ridden)) for t, state, ridden in steps]
-    return [*statuses, Status(70.0, "p3dx", "none", "navigating"), Status(85.0, "p3dx", reason=ARRIVED)]
+    return [*statuses, Status(70.0, "p3dx", "none", "navigating"), Status(85.0, "p3dx", reason=str(Reason.ARRIVED))]
 
 
 def _hitchhiker_statuses() -> list[Status]:
@@ -90,5 +90,5 @@ def _hitchhiker_statuses() -> list[Status]:
         Status(66.0, "turtlebot", "hitchhiker", "settling", "", _OFF, servo=follow, ride=_ride(RIDE_M)),
         Status(68.0, "turtlebot", "hitchhiker", "relocalizing", ride=_ride(RIDE_M)),
         Status(RELEASED, "turtlebot", "none", "navigating"),
-        Status(88.0, "turtlebot", reason=ARRIVED),
+        Status(88.0, "turtlebot", reason=str(Reason.ARRIVED)),
     ]

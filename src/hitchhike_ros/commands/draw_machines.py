@@ -17,9 +17,11 @@ from typing import Any
 import rospkg
 
 from hitchhike_ros.protocol.diagrams import dot
-from hitchhike_ros.protocol.driver.machine import DriverMachine, DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine, HitchhikerState
-from hitchhike_ros.protocol.machine import Machine
+from hitchhike_ros.protocol.driver.machine import DriverMachine
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
+from hitchhike_ros.protocol.loose_machine import Machine
 
 MACHINES: dict[str, tuple[type[Machine[Any]], Any]] = {
     "hitchhiker": (HitchhikerMachine, HitchhikerState.IDLE),

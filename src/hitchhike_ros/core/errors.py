@@ -77,7 +77,11 @@ class MessageError(HitchhikeError):
 
 
 class TransitionError(HitchhikeError):
-    """A state machine got an event that its state does not allow."""
+    """A state machine got a command that its state does not allow; ``state`` and ``event`` are their names."""
+
+    def __init__(self, state: str, event: str) -> None:
+        self.state, self.event = state, event
+        super().__init__(f"{event} is not allowed in {state}")
 
 
 class VisionError(HitchhikeError):

@@ -19,8 +19,7 @@ from hitchhike_ros.modules.module import Fresh, Health, Level, Order, Outputs, R
 from hitchhike_ros.modules.robot_files import RobotFiles
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.agent import Traveller
-from hitchhike_ros.protocol.inbox import Inbox
-from hitchhike_ros.protocol.machine import (
+from hitchhike_ros.protocol.events import (
     Award,
     Effect,
     GoalCancelled,
@@ -32,11 +31,13 @@ from hitchhike_ros.protocol.machine import (
     TakeObstacles,
     TakePose,
     Tick,
-    stamped,
 )
+from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, encode
 from hitchhike_ros.protocol.observations import Observations
+from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import Status
 
 # An estimate older than this is no longer the robot's pose (s).
@@ -109,7 +110,7 @@ class HitchhikeComm:
         self._planner = planner
         self._traveller = Traveller(robot_id, params, sites, self._plan, marker_pose, (camera.x, camera.y), radius_m)
         self._inbox = Inbox(robot_id)
-        self._seq = first_seq
+        self._outbox = Outbox(first_seq)
         self._events: deque[object] = deque()
         self._answer_now = False
         self._grid: OccupancyGrid | None = None
@@ -205,7 +206,7 @@ class HitchhikeComm:
             awards=tuple(effect for effect in effects if isinstance(effect, Award)),
             reports=tuple(effect.text for effect in effects if isinstance(effect, Report)),
             warnings=warnings,
-            outcome=None if outcome is None else Outcome(*outcome),
+            outcome=None if outcome is None else Outcome(outcome.reason is Reason.ARRIVED, str(outcome)),
             pose=new_pose,
         )
 
@@ -261,8 +262,7 @@ class HitchhikeComm:
         return self._odometry.at(stamp) if self._odometry.covers(stamp) else None
 
     def _sent(self, effect: Send, now: float) -> str:
-        self._seq += 1
-        message = stamped(effect.message, self._seq, now)
+        message = self._outbox.stamp(effect.message, now)
         self._inbox.sent(message)  # it comes back on a topic that all share
         return encode(message)
 

@@ -14,7 +14,7 @@ from enum import IntEnum
 from typing import ClassVar, Generic, Protocol, TypeVar
 
 from hitchhike_ros.core.errors import StaleInputError
-from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven
+from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven
 from hitchhike_ros.protocol.status import Status
 
 T = TypeVar("T")

@@ -22,7 +22,7 @@ from hitchhike_ros.modules.inputs import NO_PATH, PlannedPath, PlanReport
 from hitchhike_ros.modules.module import Fresh, Health, Level, Order, Orders, Outputs, Refused
 from hitchhike_ros.modules.robot_files import RobotFiles
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.protocol.machine import NavigationReport
+from hitchhike_ros.protocol.events import NavigationReport
 from hitchhike_ros.protocol.status import ModuleSwitches, Status
 
 _LEVELS = {"idle": Level.OK, "waiting": Level.WARN, "planned": Level.OK, "failed": Level.ERROR}

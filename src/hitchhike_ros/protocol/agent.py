@@ -16,16 +16,18 @@ from hitchhike_ros.core.geometry import path_length
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
 from hitchhike_ros.protocol.announcement import OwnPath
-from hitchhike_ros.protocol.driver.machine import ARRIVED, DriverMachine, DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, HitchhikerMachine, HitchhikerState
-from hitchhike_ros.protocol.machine import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
+from hitchhike_ros.protocol.driver.machine import DriverMachine
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.events import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
+from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, HitchhikerMachine
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.matching import Boardings, Planner, solo_metres
 from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Message, RearMarker, Request
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
+from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.protocol.status import Status
 
-ROLES_REVERSED = "Asks the better profile for a ride instead"
 # Who has asked the better profile for a ride gives it so many windows to become a driver (chosen).
 _REVERSAL_WINDOWS = 3.0
 
@@ -74,11 +76,11 @@ class Traveller:
         return self.hitchhiker.state is not HitchhikerState.IDLE
 
     @property
-    def outcome(self) -> tuple[bool, str] | None:
-        """Whether the last goal was reached, and why it ended; None while the robot is on its way to one."""
+    def outcome(self) -> Ending | None:
+        """How the last goal ended; None while the robot is on its way to one."""
         if self._pending is not None or self.rides or self.driver.state is not DriverState.IDLE:
             return None
-        return self.driver.reason == ARRIVED, self.driver.reason
+        return self.driver.ending
 
     def step(self, event: object, now: float) -> list[Effect]:
         """Take a GoalGiven, GoalCancelled, Tick or network Message."""
@@ -111,7 +113,7 @@ class Traveller:
             robot_id=self.robot_id,
             role=role,
             state=machine.state.value,
-            reason=machine.reason,
+            reason=str(machine.ending),
             modules=machine.modules,
             goal=self.hitchhiker.way if self.rides else self.driver.goal,
             speed_limit_mps=self.driver.speed_limit_mps,
@@ -167,7 +169,7 @@ class Traveller:
 
     def _go_on(self, goal: Pose2D, now: float) -> list[Effect]:
         """After a ride, or after none: with the next driver, with one that is asked now, or alone."""
-        reason, booked, self.booking = self.hitchhiker.reason, self.booking, None
+        booked, self.booking = self.booking, None
         if booked is not None and booked.state is HitchhikerState.AWAITING_ALIGNED:
             booked.ready_in_s, booked.left_at = 0.0, self.hitchhiker.left_at
             self.hitchhiker = booked
@@ -176,9 +178,7 @@ class Traveller:
         rode = self.hitchhiker.rode
         if rode and self.params.mode == "network" and self._asks < self.params.max_asks and self._wants_ride(goal):
             return effects + self._ask(goal, now)
-        effects += self.driver.step(GoalGiven(goal), now)
-        self.driver.reason = reason  # why it goes on alone
-        return effects
+        return effects + self.driver.step(GoalGiven(goal, self.hitchhiker.ending), now)
 
     def _book(self, now: float) -> list[Effect]:
         """Look for the driver after this one in time, where the itinerary has another ride."""
@@ -224,7 +224,7 @@ class Traveller:
         """It asks that one alone, and gives it the time to give up its own question."""
         goal = self.driver.own_goal
         assert goal is not None
-        effects: list[Effect] = [Report(ROLES_REVERSED)]
+        effects: list[Effect] = [Report(str(Reason.ROLES_REVERSED), Reason.ROLES_REVERSED)]
         effects += self.driver.step(GoalCancelled(), now) + self._ask(goal, now, request.robot_id)
         self.hitchhiker.window_s = _REVERSAL_WINDOWS * self.params.offer_window_s
         return effects

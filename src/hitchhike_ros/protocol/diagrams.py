@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hitchhike_ros.protocol.machine import Machine, Tick
+from hitchhike_ros.protocol.events import Tick
+from hitchhike_ros.protocol.loose_machine import Machine
 
 _HEAD = (
     'graph [rankdir=TB, nodesep=0.45, ranksep=0.5, fontname="sans-serif"]',

@@ -1,196 +1,203 @@
-"""State machines declared as tables and stepped by ``(event, now)``; what they want done comes back as effects.
+"""State machines declared as tables of rows and stepped by ``(event, now)``; what they want done comes back as effects.
 
-They know no ROS, no clock and no thread, so nodes, simulations and tests step the same objects.
+A row says in which states, on what, and under which guards an action is done, and to which one state it leads. Rows
+stand in the order of their priority: of those for one event the first whose guards hold is taken. What a machine knows
+are its facts; guards and deadlines are functions of them. The table is checked when the class is made.
+
+Machines know no ROS, no clock and no thread, so nodes, simulations and tests step the same objects.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any, ClassVar, Generic, TypeVar
 
-from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import TransitionError
+from hitchhike_ros.protocol.events import Effect, Report, Send, Situation, Tick
 from hitchhike_ros.protocol.messages import Message
+from hitchhike_ros.protocol.phase import Phase, RoleState
+from hitchhike_ros.protocol.reasons import NONE, Ending, Reason
 
-S = TypeVar("S", bound=Enum)
+S = TypeVar("S", bound=RoleState)
+F = TypeVar("F", bound="Facts")
 
-
-# Events, beside the network messages themselves.
-
-
-@dataclass(frozen=True)
-class GoalGiven:
-    """Somebody wants this robot at ``goal`` in ``map``."""
-
-    goal: Pose2D
+Guard = Callable[[Any], bool]
+"""A named function of the facts; with a lambda the diagram could not say what leads there."""
 
 
-@dataclass(frozen=True)
-class GoalCancelled:
-    """The goal is withdrawn: stop."""
+@dataclass(eq=False)
+class Facts:
+    """What every machine knows. Machines add their own, those of single phases with :func:`of_phases`."""
+
+    now: float = 0.0
+    entered: float = 0.0  # when it came to the present state
+    situation: Situation = field(default_factory=Situation)
+    event: Any = None  # that is being taken, for guards
+
+    @property
+    def in_state_s(self) -> float:
+        return self.now - self.entered
 
 
-@dataclass(frozen=True)
-class NavigationReport:
-    """What obstacle avoidance says of the goal it was given."""
+def of_phases(*phases: Phase) -> Any:
+    """A field of facts that exists in these phases only.
 
-    goal_id: str
-    state: str  # idle, driving, arrived, blocked, failed
-    reason: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Situation:
-    """What the robot's own modules know now; None where a module is off or has not spoken."""
-
-    estimate: PoseEstimate | None = None
-    speed_mps: float = 0.0
-    obstacles: tuple[Obstacle, ...] = ()
-    navigation: NavigationReport | None = None
-    observation: MarkerObservation | None = None
-    seen_from: Pose2D | None = None  # own pose in ``odom`` when that observation was made
-    odom_pose: Pose2D | None = None  # own pose in ``odom`` now
-    following: str = ""  # what servoing does with the driver, in its words
-
-
-@dataclass(frozen=True, eq=False)
-class Tick:
-    """Time has passed; the situation is this."""
-
-    situation: Situation
-
-
-# Effects.
+    The action that leads into them sets it, the machine forgets it after the action that leads out of them, and reading
+    it elsewhere is an AttributeError.
+    """
+    return field(init=False, repr=False, metadata={"phases": frozenset(phases)})
 
 
 @dataclass(frozen=True)
-class Send:
-    """Broadcast this message; the node adds sender, sequence number and time."""
+class Deadline:
+    """What a row waits for: the time at which the state has lasted too long, on the machine's clock in s."""
 
-    message: Message
+    at: Callable[[Any], float]
 
-
-@dataclass(frozen=True, eq=False)
-class TakePose:
-    """Localization starts from this estimate."""
-
-    estimate: PoseEstimate
-
-
-@dataclass(frozen=True)
-class TakeObstacles:
-    """Mapping adds these boxes to the robot's own map."""
-
-    obstacles: tuple[Obstacle, ...]
-
-
-@dataclass(frozen=True)
-class Award:
-    """The driver earned points for a ride (P17 §5)."""
-
-    ride_id: str
-    hitchhiker: str
-    ride_m: float
-    points: float
-
-
-@dataclass(frozen=True)
-class Report:
-    """Something an operator wants to read."""
-
-    text: str
-
-
-Effect = Send | TakePose | TakeObstacles | Award | Report
+    @property
+    def name(self) -> str:
+        return self.at.__name__
 
 
 @dataclass(frozen=True)
 class Row:
-    """In one of ``states``, ``event`` calls the method ``action``, which stays or goes to one of ``targets``."""
+    """In one of ``states``, ``on`` an event or a deadline, where all guards (``when``) hold: do ``action``, go ``to``.
+
+    The action is the name of a method that takes the event (nothing, after a deadline). It runs in the state that the
+    row leads to, and finds the facts of the phase that is left. ``why`` becomes the machine's ending; an action may
+    say more. Rows without a target stay: time in the state runs on. With its own state as target a state begins anew.
+    """
 
     states: tuple[Any, ...]
-    event: type
-    action: str
-    targets: tuple[Any, ...] = ()
+    on: type | Deadline
+    action: str | None = None
+    to: Any = None
+    when: tuple[Guard, ...] = ()
+    why: Reason = Reason.NONE
 
 
 @dataclass(frozen=True)
-class Timeout:
-    """After the parameter ``limit`` in ``state``, the method ``action`` goes to one of ``targets``."""
+class Do:
+    """At every tick in one of ``states``, where all guards hold: do ``action``, which takes nothing, and go on.
 
-    state: Any
-    limit: str
+    It is done between the rows above and below it, and not at all where a row above leads elsewhere.
+    """
+
+    states: tuple[Any, ...]
     action: str
-    targets: tuple[Any, ...]
+    when: tuple[Guard, ...] = ()
 
 
-class Machine(Generic[S]):
-    """A table-driven machine. Subclasses declare ``ROWS`` and ``TIMEOUTS`` and write the actions."""
+class Table:
+    """Rows as a machine looks them up, each kind in the order of the priority."""
 
-    ROWS: ClassVar[tuple[Row, ...]]
-    TIMEOUTS: ClassVar[tuple[Timeout, ...]]
+    def __init__(self, rows: Iterable[Row | Do]) -> None:
+        self.events: dict[tuple[Any, type], tuple[Row, ...]] = {}
+        self.ticks: dict[Any, tuple[Row | Do, ...]] = {}
+        self.deadlines: dict[Any, tuple[Row, ...]] = {}
+        for row in rows:
+            for state in row.states:
+                if isinstance(row, Do) or row.on is Tick:
+                    self.ticks[state] = (*self.ticks.get(state, ()), row)
+                elif isinstance(row.on, Deadline):
+                    self.deadlines[state] = (*self.deadlines.get(state, ()), row)
+                else:
+                    self.events[state, row.on] = (*self.events.get((state, row.on), ()), row)
 
-    def __init__(self, initial: S, params: object) -> None:
-        self.state = initial
-        self.reason = ""
-        self.situation = Situation()
+
+class Machine(Generic[S, F]):
+    """A table-driven machine. Subclasses declare ``INITIAL`` and ``ROWS`` and write the actions."""
+
+    INITIAL: ClassVar[Any]
+    ROWS: ClassVar[tuple[Row | Do, ...]]
+    TABLE: ClassVar[Table]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Check and arrange the table.
+
+        Raises:
+            TypeError: the table names a method or a state that does not exist, a row that can never be taken, or a
+                state that cannot be reached or left; it says which.
+        """
+        super().__init_subclass__(**kwargs)
+        if "ROWS" in cls.__dict__:
+            check(cls)
+            cls.TABLE = Table(cls.ROWS)
+
+    def __init__(self, facts: F) -> None:
+        self.state: S = self.INITIAL
+        self.ending = NONE  # why it is in this state
+        self.facts = facts
         self.ignored = 0  # messages that arrived in a state that has no use for them
-        self._params = params
-        self._now = 0.0
-        self._entered = 0.0
         self._effects: list[Effect] = []
-        self._rows = {(state, row.event): row for row in self.ROWS for state in row.states}
-        self._timeouts = {timeout.state: timeout for timeout in self.TIMEOUTS}
-        self._allowed: tuple[Any, ...] = ()
         self._due: dict[str, float] = {}
         self._last_words: list[tuple[float, Message]] = []
+        self._of_phases = {f.name: f.metadata["phases"] for f in fields(facts) if "phases" in f.metadata}
 
     def step(self, event: object, now: float) -> list[Effect]:
         """Take one event.
 
         Raises:
-            TransitionError: a command that the state does not allow, or an action that left its row's targets.
-                Network messages never raise: one that the state has no use for is counted and ignored.
+            TransitionError: a command that the state does not allow. Network messages never raise: one that the state
+                has no use for is counted and ignored.
         """
-        self._now, self._effects = now, []
-        if isinstance(event, Tick):
-            self.situation = event.situation
-            while (timeout := self._expired()) is not None:
-                self._run(timeout.action, timeout.targets)
-            while self._last_words and self._last_words[0][0] <= now:
-                self._send(self._last_words.pop(0)[1])
-        row = self._rows.get((self.state, type(event)))
-        if row is not None:
-            self._run(row.action, row.targets, event)
-        elif isinstance(event, Message):
+        if isinstance(event, Message) and not self._concerns(event):
             self.ignored += 1
-        elif not isinstance(event, Tick):
-            raise TransitionError(f"{type(self).__name__}: {type(event).__name__} is not allowed in {self.state.value}")
+            return []
+        facts = self.facts
+        facts.now, facts.event, self._effects = now, event, []
+        if isinstance(event, Tick):
+            facts.situation = event.situation
+            self._tick(event)
+            return self._effects
+        for row in self.TABLE.events.get((self.state, type(event)), ()):
+            if not row.when or all(guard(facts) for guard in row.when):
+                self._take(row, event)
+                break
+        else:
+            if not isinstance(event, Message):
+                raise TransitionError(self.state.value, type(event).__name__)
+            self.ignored += 1
         return self._effects
 
-    def time_in_state(self) -> float:
-        return self._now - self._entered
+    def _tick(self, tick: Tick) -> None:
+        """Deadlines first, one after another; then what is repeated; then the rows of the state."""
+        facts = self.facts
+        while (expired := self._expired()) is not None:
+            self._take(expired)
+        while self._last_words and self._last_words[0][0] <= facts.now:
+            self._send(self._last_words.pop(0)[1])
+        for row in self.TABLE.ticks.get(self.state, ()):
+            if not row.when or all(guard(facts) for guard in row.when):
+                if isinstance(row, Row):
+                    self._take(row, tick)
+                    return
+                getattr(self, row.action)()
 
-    def _expired(self) -> Timeout | None:
-        timeout = self._timeouts.get(self.state)
-        if timeout is None or self._now - self._entered <= self._limit_s(timeout.limit):
+    def _expired(self) -> Row | None:
+        """What is to be done about the deadline of the state, when it is over."""
+        rows = self.TABLE.deadlines.get(self.state)
+        if rows is None or self.facts.now <= deadline(rows).at(self.facts):
             return None
-        return timeout
+        return next(row for row in rows if all(guard(self.facts) for guard in row.when))
 
-    def _limit_s(self, name: str) -> float:
-        """How long a state with this limit may last now."""
-        return float(getattr(self._params, name))
+    def _take(self, row: Row, *event: object) -> None:
+        if row.to is not None:
+            self.state, self.ending, self.facts.entered, self._due = row.to, Ending(row.why), self.facts.now, {}
+        if row.action is not None:
+            getattr(self, row.action)(*event)
+        if row.to is not None:
+            for name, phases in self._of_phases.items():
+                if row.to.phase not in phases:
+                    self.facts.__dict__.pop(name, None)
 
-    def _run(self, action: str, targets: tuple[Any, ...], *event: object) -> None:
-        self._allowed = targets
-        getattr(self, action)(*event)
+    # For subclasses.
 
-    def _go(self, state: S, reason: str = "") -> None:
-        if state not in self._allowed:
-            raise TransitionError(f"{type(self).__name__}: no way from {self.state.value} to {state.value}")
-        self.state, self.reason, self._entered = state, reason, self._now
-        self._due = {}
+    def _concerns(self, _message: Message) -> bool:
+        """Whether a message is for this machine at all."""
+        return True
 
     def _send(self, message: Message) -> None:
         self._effects.append(Send(message))
@@ -199,22 +206,79 @@ class Machine(Generic[S]):
         """Send what ends a ride; nobody stays to acknowledge it, so it is repeated for a while."""
         self._send(message)
         times = range(1, int(duration_s / period_s) + 1)
-        self._last_words += [(self._now + i * period_s, message) for i in times]
+        self._last_words += [(self.facts.now + i * period_s, message) for i in times]
         self._last_words.sort(key=lambda word: word[0])
 
-    def _report(self, text: str) -> None:
-        self._effects.append(Report(text))
+    def _take_back_last_words(self, ride_id: str) -> None:
+        """The ride is on again."""
+        self._last_words = [(due, word) for due, word in self._last_words if word.ride_id != ride_id]
+
+    def _report(self, what: Ending | Reason | str, about: Reason = Reason.NONE) -> None:
+        """Tell an operator."""
+        reason = what if isinstance(what, Reason) else what.reason if isinstance(what, Ending) else about
+        self._effects.append(Report(str(what), reason))
 
     def _every(self, period_s: float, what: str) -> bool:
         """Whether ``what`` is due again; true at once after a change of state."""
-        if self._now < self._due.get(what, self._now):
+        now = self.facts.now
+        if now < self._due.get(what, now):
             return False
-        self._due[what] = self._now + period_s
+        self._due[what] = now + period_s
         return True
 
 
-def stamped(message: Message, seq: int, now: float) -> Message:
-    """``message`` with its place in the sender's sequence and its time."""
-    sent = object.__new__(type(message))  # a quarter of the time of dataclasses.replace, and every message pays it
-    sent.__dict__.update(message.__dict__, seq=seq, time_stamp=now)
-    return sent
+def deadline(rows: tuple[Row, ...]) -> Deadline:
+    """The one for which all these rows wait."""
+    on = rows[0].on
+    assert isinstance(on, Deadline)
+    return on
+
+
+def arrows(rows: Iterable[Row | Do]) -> Iterator[tuple[Any, Row]]:
+    """Every state with every row that leads from it to a state."""
+    for row in rows:
+        if isinstance(row, Row) and row.to is not None:
+            yield from ((state, row) for state in row.states)
+
+
+def check(machine: type[Machine[Any, Any]]) -> None:
+    """Raise TypeError where a table promises what the machine cannot do: see ``Machine.__init_subclass__``."""
+    wrong = [*_senseless_rows(machine), *_dead_ends(machine.INITIAL, machine.ROWS)]
+    if wrong:
+        raise TypeError(f"{machine.__name__}: {'; '.join(wrong)}")
+
+
+def _senseless_rows(machine: type[Machine[Any, Any]]) -> Iterator[str]:
+    states: type[Enum] = type(machine.INITIAL)
+    for row in machine.ROWS:
+        if row.action is not None and not callable(getattr(machine, row.action, None)):
+            yield f"there is no method {row.action}"
+        elif row.action is None and (isinstance(row, Do) or row.to is None):
+            yield f"nothing is done in {row}"
+        for state in (*row.states, *([row.to] if isinstance(row, Row) and row.to is not None else [])):
+            if not isinstance(state, states):
+                yield f"{state} is no {states.__name__}"
+    table = Table(machine.ROWS)
+    for state, on, rows in (
+        *((state, event.__name__, rows) for (state, event), rows in table.events.items()),
+        *((state, "tick", rows) for state, rows in table.ticks.items()),
+        *((state, deadline(rows).name, rows) for state, rows in table.deadlines.items()),
+    ):
+        if any(isinstance(row, Row) and not row.when for row in rows[:-1]):
+            yield f"{state.value} on {on}: a row stands below one without guards"
+    for state, waits in table.deadlines.items():
+        if waits[-1].when or len({row.on for row in waits}) > 1:
+            yield f"{state.value}: expected one deadline, and at last a row without guards"
+
+
+def _dead_ends(initial: Any, rows: Iterable[Row | Do]) -> Iterator[str]:
+    ways = {(state, row.to) for state, row in arrows(rows)}
+    reached, found = set[Any](), {initial}
+    while found:
+        reached |= found
+        found = {to for state, to in ways if state in found} - reached
+    for state in type(initial):
+        if state not in reached:
+            yield f"{state.value} cannot be reached"
+        if all(to is state for begin, to in ways if begin is state):
+            yield f"{state.value} cannot be left"

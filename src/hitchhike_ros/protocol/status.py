@@ -11,6 +11,7 @@ import msgspec
 
 from hitchhike_ros.core.datatypes import NonNegative, Pose2D, Positive, Side, TeleopMode
 from hitchhike_ros.core.errors import MessageError
+from hitchhike_ros.protocol.reasons import Ending
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,11 @@ class Status:
     ride: RideStatus | None = None
     convoy: tuple[str, ...] = ()  # who rides with this robot, in the order of their places
     robots: tuple[KnownRobot, ...] = ()
+
+    @property
+    def ending(self) -> Ending:
+        """Why the robot is in its state."""
+        return Ending.told(self.reason)
 
     @property
     def carries_rider(self) -> bool:

@@ -12,7 +12,7 @@ import rospy
 
 from hitchhike_ros.core.errors import CreditError, LedgerError, ParameterError
 from hitchhike_ros.protocol.award_ledger import FILE_NAME, AwardLedger, Credit
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.ros_io.parameters import given
 
 # Wall time. A robot does not stand still for a ledger that is busy: it tries again.

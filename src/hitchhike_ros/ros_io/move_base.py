@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback
 
 from hitchhike_ros.modules.hitchhike_comm import HitchhikeCommOutputs
-from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven
+from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven
 from hitchhike_ros.ros_io.conversions import pose_from_msg, pose_stamped
 
 

@@ -32,7 +32,7 @@ from hitchhike_ros.modules.inputs import (
     ServoingCommand,
     TeleopCommand,
 )
-from hitchhike_ros.protocol.machine import Award, NavigationReport
+from hitchhike_ros.protocol.events import Award, NavigationReport
 from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import Observations, decode_observations
 from hitchhike_ros.protocol.status import Status, decode_status, encode_status

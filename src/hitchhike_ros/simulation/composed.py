@@ -34,8 +34,7 @@ from hitchhike_ros.modules.path_planning import PathPlanning, PathPlanningParame
 from hitchhike_ros.modules.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.agent import Traveller
-from hitchhike_ros.protocol.inbox import Inbox
-from hitchhike_ros.protocol.machine import (
+from hitchhike_ros.protocol.events import (
     Award,
     Effect,
     GoalGiven,
@@ -45,9 +44,10 @@ from hitchhike_ros.protocol.machine import (
     TakeObstacles,
     TakePose,
     Tick,
-    stamped,
 )
+from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.messages import encode
+from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import ServoCommand, Status
 from hitchhike_ros.servoing.follow import FollowLaw
@@ -142,7 +142,7 @@ class ComposedRobot:
         self._seen_from = Pose2D()  # in odom, when the observations were made
         self._image_at = 0.0
         self._servo: ServoCommand | None = None
-        self._seq = 0
+        self._outbox = Outbox()
 
     @property
     def map(self) -> OccupancyGrid:
@@ -270,8 +270,7 @@ class ComposedRobot:
 
     def _carry_out(self, effect: Effect, now: float, send: Callable[[str], None]) -> None:
         if isinstance(effect, Send):
-            self._seq += 1
-            send(encode(stamped(effect.message, self._seq, now)))
+            send(encode(self._outbox.stamp(effect.message, now)))
         elif isinstance(effect, TakePose):
             self.taken.append(effect.estimate)
             self._localizer.initialise(effect.estimate)

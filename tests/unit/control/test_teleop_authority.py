@@ -17,8 +17,8 @@ from hitchhike_ros.core.datatypes import Pose2D, Twist2D
 from hitchhike_ros.core.errors import TeleopError
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.experiments.scenarios.scripted_human import HumanParameters, ScriptedHuman
-from hitchhike_ros.protocol.driver.machine import DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerState
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.status import GoalCommand, Status
 
 PARAMS, AVOIDANCE = TeleopAuthorityParameters(), LocalPlannerParameters()

@@ -15,7 +15,7 @@ from hitchhike_ros.modules.hitchhike_comm import HitchhikeComm, HitchhikeCommOut
 from hitchhike_ros.modules.inputs import NetworkText, PlanReport
 from hitchhike_ros.modules.module import Level, Refused
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, NavigationReport
+from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven, NavigationReport
 from hitchhike_ros.protocol.messages import Ack, Beacon, Request, decode, encode
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import ANY_MARKER, GoalCommand, ServoCommand, Status

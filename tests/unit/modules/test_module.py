@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.core.errors import StaleInputError
 from hitchhike_ros.modules.module import ORDER_MAX_AGE_S, Fresh, Orders
-from hitchhike_ros.protocol.machine import GoalCancelled
+from hitchhike_ros.protocol.events import GoalCancelled
 from hitchhike_ros.protocol.status import Status
 
 

@@ -18,7 +18,7 @@ from hitchhike_ros.modules.inputs import NO_PATH, PlanReport
 from hitchhike_ros.modules.module import ORDER_MAX_AGE_S, Health, Level, Refused
 from hitchhike_ros.modules.path_planning import PathPlanning, PathPlanningOutputs, PathPlanningParameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.protocol.machine import GoalCancelled, NavigationReport
+from hitchhike_ros.protocol.events import GoalCancelled, NavigationReport
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, Status
 
 LIMITS = RobotLimits(0.3, 0.1, 0.2, 0.2, 0.2, 1.0, 2.0)

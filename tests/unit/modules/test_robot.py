@@ -12,7 +12,7 @@ from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, Twist2D
 from hitchhike_ros.modules.inputs import InitialPose, NavigationCommand, PlannedPath, PlanReport
 from hitchhike_ros.modules.module import Health, Order, Outputs, Refused
 from hitchhike_ros.modules.robot import ORDER_OF_STEPS, WIRES, Robot
-from hitchhike_ros.protocol.machine import GoalCancelled, NavigationReport
+from hitchhike_ros.protocol.events import GoalCancelled, NavigationReport
 from hitchhike_ros.protocol.status import Status
 
 ODOMETRY = Odometry(1.0, Pose2D(), Twist2D())

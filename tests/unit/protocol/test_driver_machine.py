@@ -12,9 +12,9 @@ import pytest
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.core.errors import UnreachableError
 from hitchhike_ros.core.geometry import compose
-from hitchhike_ros.protocol.driver import machine as d
-from hitchhike_ros.protocol.driver.machine import ENGAGED, WITH_RIDER, DriverMachine, DriverState
-from hitchhike_ros.protocol.machine import Award, GoalCancelled, GoalGiven, Tick
+from hitchhike_ros.protocol.driver.machine import ENGAGED, WITH_RIDER, DriverMachine
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.events import Award, GoalCancelled, GoalGiven, Tick
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
     Accept,
@@ -30,6 +30,7 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import ANY_MARKER, ModuleSwitches, ServoCommand
 from protocol_helpers import BOXES, DRIVER, DRIVER_GOAL, RIDER, SITES, Bench, corridor_path, driver_in, messages
 
@@ -46,17 +47,17 @@ def _walled(_start: Pose2D, _goal: Pose2D) -> FloatArray:
 @pytest.mark.parametrize(
     ("params", "request_changes", "driver_pose", "goal", "planner", "reason"),
     [
-        ({}, {}, Pose2D(10.0, 5.72), DRIVER_GOAL, corridor_path, d.INVALID_PLACE),
-        ({}, {"x": 10.0}, None, DRIVER_GOAL, corridor_path, d.INVALID_PLACE),
-        ({}, {"goal": Pose2D(20.0, 5.72)}, None, DRIVER_GOAL, corridor_path, d.PATH_TOO_SHORT),
-        ({}, {}, None, Pose2D(22.0, 5.72), corridor_path, d.PATH_TOO_SHORT),
-        ({}, {"goal": Pose2D(-25.0, 5.72)}, None, DRIVER_GOAL, corridor_path, d.PATH_TOO_SHORT),
-        ({}, {}, None, None, corridor_path, d.PATH_TOO_SHORT),
-        ({}, {}, None, DRIVER_GOAL, _walled, d.PATH_TOO_SHORT),
-        ({"profile": 58.0}, {"profile": 90.0}, None, DRIVER_GOAL, corridor_path, d.PROFILE_MISMATCH),
-        ({"priority": 16}, {}, None, DRIVER_GOAL, corridor_path, d.HIGH_PRIORITY),
-        ({}, {"priority": 16}, None, DRIVER_GOAL, corridor_path, d.HIGH_PRIORITY),
-        ({"may_drive": False}, {}, None, DRIVER_GOAL, corridor_path, d.NO_DRIVER),
+        ({}, {}, Pose2D(10.0, 5.72), DRIVER_GOAL, corridor_path, str(Reason.INVALID_PLACE)),
+        ({}, {"x": 10.0}, None, DRIVER_GOAL, corridor_path, str(Reason.INVALID_PLACE)),
+        ({}, {"goal": Pose2D(20.0, 5.72)}, None, DRIVER_GOAL, corridor_path, str(Reason.PATH_TOO_SHORT)),
+        ({}, {}, None, Pose2D(22.0, 5.72), corridor_path, str(Reason.PATH_TOO_SHORT)),
+        ({}, {"goal": Pose2D(-25.0, 5.72)}, None, DRIVER_GOAL, corridor_path, str(Reason.PATH_TOO_SHORT)),
+        ({}, {}, None, None, corridor_path, str(Reason.PATH_TOO_SHORT)),
+        ({}, {}, None, DRIVER_GOAL, _walled, str(Reason.PATH_TOO_SHORT)),
+        ({"profile": 58.0}, {"profile": 90.0}, None, DRIVER_GOAL, corridor_path, str(Reason.PROFILE_MISMATCH)),
+        ({"priority": 16}, {}, None, DRIVER_GOAL, corridor_path, str(Reason.HIGH_PRIORITY)),
+        ({}, {"priority": 16}, None, DRIVER_GOAL, corridor_path, str(Reason.HIGH_PRIORITY)),
+        ({"may_drive": False}, {}, None, DRIVER_GOAL, corridor_path, str(Reason.NO_DRIVER)),
     ],
 )
 def test_denials_give_their_reason(
@@ -81,11 +82,11 @@ def test_denials_give_their_reason(
 
 
 def test_the_papers_texts_of_denial() -> None:
-    assert d.INVALID_PLACE == "Invalid HH place"
-    assert d.PATH_TOO_SHORT == "Path too short"
-    assert d.PROFILE_MISMATCH == "Profile mismatch"
-    assert d.UNABLE_TO_ALIGN == "Unable to align"
-    assert d.LARGE_COUPLE_TIME == "Large couple_time"
+    assert str(Reason.INVALID_PLACE) == "Invalid HH place"
+    assert str(Reason.PATH_TOO_SHORT) == "Path too short"
+    assert str(Reason.PROFILE_MISMATCH) == "Profile mismatch"
+    assert str(Reason.UNABLE_TO_ALIGN) == "Unable to align"
+    assert str(Reason.LARGE_COUPLE_TIME) == "Large couple_time"
 
 
 @pytest.mark.parametrize(
@@ -108,7 +109,7 @@ def test_without_a_pose_the_place_is_not_valid() -> None:
     bench.pose = None
     bench.wait()
     bench.hear(Request)
-    assert [denial.reason for denial in bench.take(Deny)] == [d.INVALID_PLACE]
+    assert [denial.reason for denial in bench.take(Deny)] == [str(Reason.INVALID_PLACE)]
 
 
 @pytest.mark.parametrize("state", ENGAGED)
@@ -116,7 +117,7 @@ def test_others_are_denied_while_engaged(state: DriverState) -> None:
     bench = driver_in(state)
     bench.hear(Request, robot_id="other", ride_id="other-1")
     (denial,) = bench.take(Message)
-    assert (denial.to, denial.ride_id, denial.reason) == ("other", "other-1", d.ALREADY_DRIVING)
+    assert (denial.to, denial.ride_id, denial.reason) == ("other", "other-1", str(Reason.ALREADY_DRIVING))
     assert bench.machine.state is state
 
 
@@ -159,8 +160,8 @@ def test_a_lost_acceptance_is_sent_again_but_only_until_the_lock() -> None:
         (S.OFFERING, "confirm_timeout_s", "Offer not taken"),
         (S.ALIGNING, "max_align_s", "Unable to align"),
         (S.ALIGNED, "max_couple_s", "Large couple_time"),
-        (S.WAITING_FOR_RIDER, "lost_timeout_s", d.RIDER_LOST),
-        (S.DECOUPLING, "decouple_timeout_s", d.NO_HANDOVER),
+        (S.WAITING_FOR_RIDER, "lost_timeout_s", str(Reason.RIDER_LOST)),
+        (S.DECOUPLING, "decouple_timeout_s", str(Reason.NO_HANDOVER)),
     ],
 )
 def test_timeouts_tell_the_hitchhiker_and_the_driver_goes_on(state: DriverState, limit: str, reason: str) -> None:
@@ -171,7 +172,7 @@ def test_timeouts_tell_the_hitchhiker_and_the_driver_goes_on(state: DriverState,
     bench.clear()
     bench.wait(0.8)
     assert {(end.to, end.ride_id, end.reason) for end in bench.take(Terminate)} == {(RIDER, "ride", reason)}
-    assert (bench.machine.state, bench.machine.reason) == (S.NAVIGATING, reason)
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.NAVIGATING, reason)
     assert bench.machine.goal.pose == DRIVER_GOAL
 
 
@@ -192,9 +193,9 @@ def test_the_end_is_told_for_a_while_and_not_to_a_new_offer() -> None:
 @pytest.mark.parametrize(
     ("state", "then", "reason"),
     [
-        (S.NAVIGATING, S.IDLE, "Navigation failed: "),
+        (S.NAVIGATING, S.IDLE, "Navigation failed"),
         (S.ALIGNING, S.NAVIGATING, "Unable to align"),
-        (S.DRIVING, S.NAVIGATING, "Navigation failed: "),
+        (S.DRIVING, S.NAVIGATING, "Navigation failed"),
     ],
 )
 def test_navigation_that_stays_stuck_ends_what_it_was_for(
@@ -208,7 +209,7 @@ def test_navigation_that_stays_stuck_ends_what_it_was_for(
         assert bench.machine.state is state
     bench.clear()
     bench.wait(1.2)
-    assert (bench.machine.state, bench.machine.reason) == (then, reason)
+    assert (bench.machine.state, str(bench.machine.ending)) == (then, reason)
     assert [end.reason for end in bench.take(Terminate)] == ([reason] if state is not S.NAVIGATING else [])
 
 
@@ -329,7 +330,7 @@ def test_it_does_not_wait_for_ever_for_one_that_follows_from_afar() -> None:
     for _ in range(round(bench.machine.params.lost_timeout_s) + 1):
         bench.hear(Ack, gap_m=1.5)
         bench.wait(1.0)
-    assert (bench.machine.state, bench.machine.reason) == (S.NAVIGATING, d.RIDER_LOST)
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.NAVIGATING, str(Reason.RIDER_LOST))
 
 
 def test_it_keeps_talking_while_it_waits() -> None:
@@ -354,7 +355,7 @@ def test_it_hands_over_standing_and_repeats_until_acknowledged() -> None:
     bench.hear(Ack, of="driver")
     assert bench.machine.state is S.DECOUPLING
     bench.hear(Ack, of="decouple")
-    assert (bench.machine.state, bench.machine.reason) == (S.NAVIGATING, "Ride completed")
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.NAVIGATING, "Ride completed")
     assert bench.take(Terminate) == []
 
 
@@ -431,7 +432,7 @@ def test_the_driver_aligns_ahead_of_where_the_hitchhiker_stands(aside: tuple[flo
 def test_the_hitchhiker_may_withdraw_before_it_is_coupled(state: DriverState) -> None:
     bench = driver_in(state)
     bench.hear(RequestCancel)
-    assert (bench.machine.state, bench.machine.reason) == (S.NAVIGATING, "Request cancelled")
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.NAVIGATING, "Request cancelled")
 
 
 @pytest.mark.parametrize("state", ENGAGED)
@@ -451,7 +452,7 @@ def test_a_lock_that_nobody_asked_for_is_denied_and_counted(state: DriverState) 
     bench.hear(Lock, robot_id="other")
     (denial,) = bench.take(Message)
     assert (type(denial), denial.to, denial.ride_id) == (Deny, "other", "ride")
-    assert denial.reason in (d.NOT_OFFERED, d.ALREADY_DRIVING)
+    assert denial.reason in (str(Reason.NOT_OFFERED), str(Reason.ALREADY_DRIVING))
     assert (bench.machine.refused, bench.machine.state) == (1, state)
 
 

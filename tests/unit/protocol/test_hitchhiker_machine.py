@@ -11,8 +11,9 @@ from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate, Side
 from hitchhike_ros.core.errors import TransitionError
 from hitchhike_ros.core.geometry import between, compose, distance, wrap_angle
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.hitchhiker.machine import BEFORE_RIDE, COUPLED, RETURNING, HitchhikerState
-from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven, NavigationReport, TakeObstacles, TakePose, Tick
+from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven, NavigationReport, TakeObstacles, TakePose, Tick
+from hitchhike_ros.protocol.hitchhiker.machine import BEFORE_RIDE, COUPLED, RETURNING
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
     Accept,
@@ -94,7 +95,7 @@ def test_no_driver_within_the_waiting_time(denied: bool) -> None:
     assert bench.machine.state is S.REQUESTING
     bench.wait(2.0)
     assert bench.machine.state is S.IDLE
-    assert bench.machine.reason == ("Driver not found (Path too short)" if denied else "Driver not found")
+    assert str(bench.machine.ending) == ("Driver not found (Path too short)" if denied else "Driver not found")
     bench.clear()
     bench.hear(Accept)  # of somebody who has just come, and stands waiting
     assert [(m.to, m.ride_id) for m in bench.take(RequestCancel)] == [(DRIVER, bench.machine.ride_id)]
@@ -235,7 +236,7 @@ def test_an_offer_that_comes_to_nothing_is_given_back(
     assert bench.machine.state is state
     bench.clear()
     bench.wait(5.0)
-    assert (bench.machine.state, bench.machine.reason) == (S.REQUESTING, reason)
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.REQUESTING, reason)
     sent = bench.take(Message)
     ends, requests = ([m for m in sent if isinstance(m, cls)] for cls in (told, Request))
     assert len(sent) == len(ends) + len(requests)
@@ -251,7 +252,7 @@ def test_an_offer_that_is_withdrawn_is_followed_by_a_new_request(state: Hitchhik
     old = bench.machine.ride_id
     bench.hear(cls, reason="Unable to align")
     bench.wait()
-    assert (bench.machine.state, bench.machine.reason) == (S.REQUESTING, "Unable to align")
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.REQUESTING, "Unable to align")
     assert [m.ride_id == old for m in bench.take(Request)] == [False]
 
 
@@ -380,7 +381,7 @@ def test_a_driver_that_falls_silent_leaves_a_rough_pose_and_a_robot_that_goes_on
     assert [m.reason for m in bench.take(Terminate)] == [reason]
     _localized(bench, expected)
     bench.wait(bench.machine.params.part_s + 0.2)
-    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, reason, RIDER_GOAL)
+    assert (bench.machine.state, str(bench.machine.ending), bench.machine.goal) == (S.IDLE, reason, RIDER_GOAL)
     bench.clear()
     bench.hear(Decouple)
     assert [type(m) for m in bench.take(Message)] == [Terminate]  # nothing was handed over, so nothing is acknowledged
@@ -415,14 +416,14 @@ def test_a_marker_out_of_view_is_sought_by_servoing_and_the_driver_is_told() -> 
     bench = rider_in(S.RIDING)
     bench.gap = None
     bench.wait(bench.machine.params.repeat_period_s + 0.2)
-    assert (bench.machine.state, bench.machine.reason) == (S.SEEKING, "Driver out of sight")
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.SEEKING, "Driver out of sight")
     assert bench.machine.servo.task == "follow"
     bench.clear()
     bench.hear(Driver)
     assert [a.following for a in bench.take(Ack)] == [False]
     bench.gap = 0.7
     bench.wait()
-    assert (bench.machine.state, bench.machine.reason) == (S.RIDING, "Driver seen again")
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.RIDING, "Driver seen again")
     bench.hear(Driver)
     assert bench.take(Ack)[0].following
 
@@ -507,7 +508,7 @@ def test_every_step_of_the_search_ends_by_itself(
     assert bench.machine.state is state
     bench.clear()
     bench.wait(0.5)
-    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (then, reason, RIDER_GOAL)
+    assert (bench.machine.state, str(bench.machine.ending), bench.machine.goal) == (then, reason, RIDER_GOAL)
     assert [m.reason for m in bench.take(Terminate)][:1] == ([reason] if then is S.PARTING else [])
 
 
@@ -529,10 +530,10 @@ def test_a_driver_that_does_not_wait_leaves_a_robot_that_goes_on_alone(state: Hi
     if bench.machine.state is not S.PARTING:
         assert bench.machine.state is S.RELOCALIZING
         _localized(bench, Pose2D(1.7, 5.72))
-    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.PARTING, expected, RIDER_GOAL)
+    assert (bench.machine.state, str(bench.machine.ending), bench.machine.goal) == (S.PARTING, expected, RIDER_GOAL)
     assert (bench.machine.servo, bench.machine.way) == (None, None)  # it stands while the driver goes
     bench.wait(bench.machine.params.part_s + 0.2)
-    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, expected, RIDER_GOAL)
+    assert (bench.machine.state, str(bench.machine.ending), bench.machine.goal) == (S.IDLE, expected, RIDER_GOAL)
 
 
 def test_it_looks_for_the_marker_from_one_place_after_the_other() -> None:
@@ -555,7 +556,7 @@ def test_it_looks_for_the_marker_from_one_place_after_the_other() -> None:
     assert distance(second, front) < 1e-9
     assert abs(wrap_angle(second.theta - front.theta)) < 1e-9
     assert way("failed", 2.5) is None
-    assert (bench.machine.state, bench.machine.reason) == (S.PARTING, "Driver not caught up with")
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.PARTING, "Driver not caught up with")
 
 
 # Decoupling.
@@ -578,7 +579,7 @@ def test_the_pose_is_taken_over_standing_and_then_acknowledged(method: str) -> N
     assert distance(pose.estimate.pose, _behind(bench, at)) < 0.01
     assert bench.machine.state is S.RELOCALIZING
     _localized(bench, pose.estimate.pose)
-    assert (bench.machine.state, bench.machine.reason, bench.machine.goal) == (S.IDLE, "", RIDER_GOAL)
+    assert (bench.machine.state, str(bench.machine.ending), bench.machine.goal) == (S.IDLE, "", RIDER_GOAL)
 
 
 def test_the_handover_is_taken_once_and_acknowledged_as_often_as_it_comes() -> None:
@@ -609,7 +610,7 @@ def test_a_marker_that_is_lost_while_settling_leaves_the_rough_pose() -> None:
     bench.gap = None
     bench.wait(bench.machine.params.settle_timeout_s + 0.2)
     end, pose = bench.take((Terminate, TakePose, Ack))
-    assert (end.reason, bench.machine.reason) == ("Driver lost", "Driver lost")
+    assert (end.reason, str(bench.machine.ending)) == ("Driver lost", "Driver lost")
     assert pose.estimate.covariance[0, 0] > 0.25
 
 
@@ -639,7 +640,7 @@ def test_a_handover_counts_for_one_ride_only() -> None:
 def test_localization_that_never_answers_does_not_hold_it() -> None:
     bench = rider_in(S.RELOCALIZING)
     bench.wait(bench.machine.params.localize_timeout_s + 0.2)
-    assert (bench.machine.state, bench.machine.reason) == (S.IDLE, "localization did not answer")
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.IDLE, "localization did not answer")
     bench.hear(Decouple)
     assert len(bench.take(Ack)) == 1
 

@@ -8,9 +8,9 @@ import pytest
 
 from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.errors import TransitionError
-from hitchhike_ros.protocol.driver.machine import DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerState
-from hitchhike_ros.protocol.machine import GoalCancelled, GoalGiven
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.messages import MESSAGE_TYPES, Message
 from protocol_helpers import DRIVER, RIDER, Bench, driver_in, messages, rider_in
 

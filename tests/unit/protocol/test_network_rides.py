@@ -23,7 +23,7 @@ from hitchhike_ros.core.geometry import compose, distance
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.announcement import OwnPath
-from hitchhike_ros.protocol.machine import Send
+from hitchhike_ros.protocol.events import Send
 from hitchhike_ros.protocol.matching import Boardings
 from hitchhike_ros.protocol.messages import Accept, Beacon, Lock, Message, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters

@@ -16,10 +16,8 @@ from hitchhike_ros.core.datatypes import FloatArray, MarkerObservation, Obstacle
 from hitchhike_ros.core.errors import MessageError, UnreachableError
 from hitchhike_ros.core.geometry import between, compose, distance, wrap_angle
 from hitchhike_ros.protocol.agent import Traveller
-from hitchhike_ros.protocol.driver.machine import DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerState
-from hitchhike_ros.protocol.inbox import Inbox
-from hitchhike_ros.protocol.machine import (
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.events import (
     Award,
     GoalCancelled,
     GoalGiven,
@@ -30,8 +28,9 @@ from hitchhike_ros.protocol.machine import (
     TakeObstacles,
     TakePose,
     Tick,
-    stamped,
 )
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
+from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.matching import Planner
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
@@ -47,6 +46,7 @@ from hitchhike_ros.protocol.messages import (
     Request,
     encode,
 )
+from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import GoalCommand, KnownRobot, ModuleSwitches, Status, decode_status, encode_status
 from protocol_helpers import (
@@ -78,7 +78,7 @@ class Robot:
     estimate: Pose2D = field(init=False)
     map: set[Obstacle] = field(default_factory=set)
     speed: float = 0.0
-    seq: int = 0
+    outbox: Outbox = field(default_factory=Outbox)
     report: NavigationReport | None = None
     path: list[tuple[float, float]] = field(default_factory=list)
     awards: list[Award] = field(default_factory=list)
@@ -190,8 +190,7 @@ class World:
         for effect in robot.traveller.step(event, self.now):
             match effect:
                 case Send(message):
-                    robot.seq += 1
-                    self.transmit(stamped(message, robot.seq, self.now))
+                    self.transmit(robot.outbox.stamp(message, self.now))
                 case TakePose(estimate):
                     robot.estimate = estimate.pose
                 case TakeObstacles(boxes):
@@ -386,7 +385,7 @@ def _walled(_start: Pose2D, _goal: Pose2D) -> FloatArray:
 @pytest.mark.parametrize("may_ride", [True, False])
 def test_the_outcome_of_a_goal_is_known_when_its_way_ends_and_not_before(may_ride: bool) -> None:
     traveller = _traveller(may_ride=may_ride)
-    assert traveller.outcome == (False, "")
+    assert str(traveller.outcome) == ""
     traveller.step(GoalGiven(RIDER_GOAL), 1.0)
     assert traveller.outcome is None  # not even begun
     for now in (1.0, 1.1):
@@ -401,11 +400,11 @@ def test_the_outcome_of_a_goal_is_known_when_its_way_ends_and_not_before(may_rid
     assert goal is not None
     report = NavigationReport(goal.id, "arrived")
     traveller.step(Tick(replace(_here(71.0).situation, navigation=report)), 71.0)
-    assert traveller.outcome == (True, "Goal reached")
+    assert str(traveller.outcome) == "Goal reached"
     traveller.step(GoalGiven(RIDER_GOAL), 72.0)
     assert traveller.outcome is None
     traveller.step(GoalCancelled(), 73.0)
-    assert traveller.outcome == (False, "Goal cancelled")
+    assert str(traveller.outcome) == "Goal cancelled"
 
 
 def test_a_robot_that_is_stuck_gives_up_and_says_why() -> None:
@@ -418,7 +417,7 @@ def test_a_robot_that_is_stuck_gives_up_and_says_why() -> None:
         assert traveller.outcome is None
         report = NavigationReport(goal.id, "blocked", "no way past an obstacle")
         traveller.step(Tick(replace(_here(now).situation, navigation=report)), now)
-    assert traveller.outcome == (False, "Navigation failed: no way past an obstacle")
+    assert str(traveller.outcome) == "Navigation failed: no way past an obstacle"
 
 
 @pytest.mark.parametrize(

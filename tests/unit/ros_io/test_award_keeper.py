@@ -10,7 +10,7 @@ import rospy
 
 from hitchhike_ros.core.errors import ParameterError
 from hitchhike_ros.protocol.award_ledger import FILE_NAME, AwardLedger
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.ros_io.awards import AwardKeeper
 
 FIRST, SECOND = (Award(f"turtlebot-{i}-9.0", "turtlebot", 20.4 * i, 8.16 * i) for i in (1, 2))

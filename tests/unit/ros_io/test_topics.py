@@ -15,7 +15,7 @@ from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.modules.inputs import NO_PATH, PlannedPath, PlanReport
-from hitchhike_ros.protocol.machine import NavigationReport
+from hitchhike_ros.protocol.events import NavigationReport
 from hitchhike_ros.ros_io.conversions import grid_to_msg
 from hitchhike_ros.ros_io.topics import INLETS, PATH_PLANNING, Outlet
 

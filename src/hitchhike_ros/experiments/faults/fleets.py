@@ -21,6 +21,7 @@ from hitchhike_ros.experiments.faults.invariants import BrokenInvariantError, Re
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
 from hitchhike_ros.simulation.grid.robot import Errand
 from hitchhike_ros.simulation.grid.world import GridWorld
@@ -104,7 +105,7 @@ def fault_run(seed: int) -> FaultResult:
         events=world.events,
         messages=world.messages,
         rides=len({award.ride_id for robot in robots for award in robot.awards}),
-        completed=sum(text == "Ride completed" for robot in robots for _, text in robot.reports) // 2,
+        completed=sum(report.reason is Reason.RIDE_COMPLETED for robot in robots for _, report in robot.reports) // 2,
         ridden_m=sum(robot.ridden_m for robot in robots),
         driven_m=sum(robot.body.odometer_m for robot in robots),
         failure=failure,

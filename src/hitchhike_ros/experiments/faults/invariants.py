@@ -12,9 +12,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from hitchhike_ros.protocol.driver.convoy import Rider
-from hitchhike_ros.protocol.driver.machine import RIDE_COMPLETED, WITH_RIDER, DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, RETURNING, HitchhikerMachine, HitchhikerState
-from hitchhike_ros.protocol.machine import Award, Effect, Report, Send
+from hitchhike_ros.protocol.driver.machine import WITH_RIDER
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.events import Award, Effect, Report, Send
+from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, RETURNING, HitchhikerMachine
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.messages import (
     Accept,
     Ack,
@@ -27,6 +29,7 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.simulation.grid.robot import GridRobot
 from hitchhike_ros.simulation.grid.world import GridWorld
 
@@ -34,10 +37,6 @@ from hitchhike_ros.simulation.grid.world import GridWorld
 _METRES, _METRES_SHARE = 3.0, 0.06
 # Of a ride apart from its duration: questions, answers, last words, and as much again for luck.
 _MESSAGES_A_RIDE = 120
-
-
-# What the world says of a goal that somebody took back.
-GOAL_CHANGED = "Goal changed"
 
 
 class BrokenInvariantError(Exception):
@@ -97,7 +96,9 @@ class Referee:
             if missing:
                 self._fail(f"{name} has acknowledged {', '.join(sorted(missing))}, which its map does not have")
             for trip in robot.trips:
-                if not trip.reached and trip.reason != GOAL_CHANGED:  # every place of the world can be reached
+                if (
+                    not trip.reached and trip.reason.reason is not Reason.GOAL_CHANGED
+                ):  # every place of the world can be reached
                     self._fail(f"{name} gave up a goal: {trip.reason}")
         for ride_id, ride in self._rides.items():
             if ride.completed and ride.awards != 1:
@@ -125,7 +126,7 @@ class Referee:
                 self._note_sent(now, robot, effect.message)
             elif isinstance(effect, Award):
                 self._note_award(robot, effect)
-            elif isinstance(effect, Report) and effect.text == RIDE_COMPLETED:
+            elif isinstance(effect, Report) and effect.reason is Reason.RIDE_COMPLETED:
                 self._note_completed(robot, effects)
 
     def _note_sent(self, now: float, robot: GridRobot, message: Message) -> None:

@@ -17,6 +17,7 @@ from hitchhike_ros.core.datatypes import Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.geometry import compose, distance, wrap_angle
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import run_all
+from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.simulation.composed import FRAME_RATE_HZ, ComposedRide
 from hitchhike_ros.simulation.people import RADIUS_M, Person
 from hitchhike_ros.simulation.physics.world import World, WorldParameters
@@ -53,7 +54,7 @@ class DriveResult:
 
     @property
     def reached(self) -> bool:
-        return self.outcome == "Goal reached"
+        return Ending.told(self.outcome).reason is Reason.ARRIVED
 
 
 def draw_world(base: WorldFile, seed: int) -> WorldFile:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.simulation.grid.scenario import Scenario, build, load_scenario
 from hitchhike_ros.simulation.grid.world import GridWorld
 
@@ -67,7 +68,7 @@ def run(job: Job) -> Outcome:
     world.run(scenario.duration_s, world.idle)
     robot = world.robots[HITCHHIKER]
     asked = robot.trips[0].began_s
-    denials = [time - asked for time, text in robot.reports if " denies: High priority" in text]
+    denials = [time - asked for time, report in robot.reports if report.reason is Reason.HIGH_PRIORITY]
     left = next((time - asked for time, state, _ in robot.history if state == "navigating"), None)
     met = next((time - asked for time, state, _ in robot.history if state == "coupling"), None)
     drivers = [name for name, other in world.robots.items() if other.awards]

@@ -18,7 +18,7 @@ from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.experiments.scenarios.composed_record import ComposedRecorder
 from hitchhike_ros.experiments.scenarios.following_rides import DRIVER, RIDER, SIGMA, Course, build, changes_of
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
-from hitchhike_ros.protocol.driver.machine import ARRIVED
+from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.simulation.composed import ComposedRide
 from hitchhike_ros.simulation.faults import Fault
 from hitchhike_ros.simulation.people import RADIUS_M, Person
@@ -114,7 +114,8 @@ class LostResult:
     @property
     def arrived(self) -> bool:
         """Whether both say that they are at their goals, and are."""
-        return self.driver_end == self.rider_end == ARRIVED and self.goal_error_m <= GOAL_M
+        ends = (Ending.told(self.driver_end), Ending.told(self.rider_end))
+        return all(end.reason is Reason.ARRIVED for end in ends) and self.goal_error_m <= GOAL_M
 
     @property
     def rode_on(self) -> bool:

@@ -9,9 +9,9 @@ import msgspec
 
 from hitchhike_ros.core.datatypes import Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import InputFileError
-from hitchhike_ros.protocol.driver.machine import ARRIVED
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.messages import Covariance, covariance_rows
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import Status
 
 
@@ -126,7 +126,8 @@ class RobotRecord:
         """Whether it stands at its goal, or never had one."""
         if not self.has_goal:
             return True
-        return self.ended and self.newest_status is not None and self.newest_status.reason == ARRIVED
+        newest = self.newest_status
+        return self.ended and newest is not None and newest.ending.reason is Reason.ARRIVED
 
     def add_status(self, status: Status) -> bool:
         """Take a status; whether anything but time, metres and feed-forward changed."""

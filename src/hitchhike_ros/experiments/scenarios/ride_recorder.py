@@ -25,7 +25,7 @@ from hitchhike_ros.experiments.scenarios.ride_record import (
     TimedText,
     TrafficSample,
 )
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.simulation.world_file import RobotEntry, WorldFile
 

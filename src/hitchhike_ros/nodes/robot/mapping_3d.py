@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -55,6 +55,7 @@ from hitchhike_ros.core.robot_model import fixed_transforms
 from hitchhike_ros.mapping.octree import OccupancyOctree, OctreeParameters, Voxels, read_voxels
 from hitchhike_ros.protocol.map_transfer import MapReceiver, MapSender, Transfer, TransferParameters
 from hitchhike_ros.protocol.messages import MapMessage, decode, encode
+from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.ros_io.conversions import (
     camera_info_from_msg,
@@ -91,7 +92,7 @@ class Mapping3D:
         self._robot_id = str(given("robot_id", rospy.get_namespace().strip("/")))
         # None without a depth camera.
         self._T_base_camera = fixed_transforms(path_parameter("urdf")).get("depth_camera_optical")
-        self._seq = int(rospy.Time.now().to_sec() * 1000)
+        self._outbox = Outbox(int(rospy.Time.now().to_sec() * 1000))
         self._lock = threading.RLock()
         self._diagnostics = Diagnostics("mapping_3d")
 
@@ -274,8 +275,7 @@ class Mapping3D:
 
     def _send(self, messages: Iterable[MapMessage], now: float) -> None:
         for message in messages:
-            self._seq += 1
-            self._network.publish(String(encode(replace(message, seq=self._seq, time_stamp=now))))
+            self._network.publish(String(encode(self._outbox.stamp(message, now))))
 
     def _finish(self, now: float) -> None:
         """Announce what has begun or ended, and forget what is over."""

@@ -56,7 +56,7 @@ from hitchhike_ros.core.geometry import compose, distance, pose_from_matrix, wra
 from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits, mount
-from hitchhike_ros.protocol.machine import NavigationReport
+from hitchhike_ros.protocol.events import NavigationReport
 from hitchhike_ros.protocol.status import GoalCommand, Status
 from hitchhike_ros.ros_io.conversions import (
     LaserScanArrayMsg,

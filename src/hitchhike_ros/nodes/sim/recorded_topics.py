@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from hitchhike_ros.core.errors import MessageError
 from hitchhike_ros.experiments.scenarios.ride_record import Contact
 from hitchhike_ros.experiments.scenarios.ride_recorder import RideRecorder
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import decode_status

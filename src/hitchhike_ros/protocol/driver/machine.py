@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from enum import Enum
 from itertools import pairwise
 from typing import Any
 
@@ -22,15 +21,9 @@ from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.overlap import common_stretch
 from hitchhike_ros.protocol.announcement import OwnPath
 from hitchhike_ros.protocol.driver.convoy import Convoy, Offer, Rider
-from hitchhike_ros.protocol.machine import (
-    Award,
-    GoalCancelled,
-    GoalGiven,
-    Machine,
-    Row,
-    Tick,
-    Timeout,
-)
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.events import Award, GoalCancelled, GoalGiven, Tick
+from hitchhike_ros.protocol.loose_machine import Machine, Row, Timeout
 from hitchhike_ros.protocol.matching import Boardings, Planner, stretch
 from hitchhike_ros.protocol.messages import (
     Accept,
@@ -52,26 +45,8 @@ from hitchhike_ros.protocol.messages import (
     covariance_rows,
 )
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
+from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.protocol.status import ANY_MARKER, GoalCommand, ModuleSwitches, RideStatus, ServoCommand
-
-INVALID_PLACE = "Invalid HH place"
-PATH_TOO_SHORT = "Path too short"
-PROFILE_MISMATCH = "Profile mismatch"
-UNABLE_TO_ALIGN = "Unable to align"
-LARGE_COUPLE_TIME = "Large couple_time"
-HIGH_PRIORITY = "High priority"  # the paper's driver says nothing (P17) or denies at once (P18 §4): it denies
-ALREADY_DRIVING = "Already carrying a hitchhiker"
-NO_DRIVER = "Does not drive others"
-NOT_OFFERED = "No such offer"
-CLOSING_UP = "Riders move up"
-RIDE_COMPLETED = "Ride completed"
-RIDER_LOST = "Hitchhiker lost"
-RIDER_GONE = "Hitchhiker not heard of"
-NO_HANDOVER = "Handover not acknowledged"
-CANNOT_GO_ON = "Navigation failed"
-ARRIVED = "Goal reached"
-GOAL_CHANGED = "Goal cancelled"
-ASKED_ANEW = "Hitchhiker asks anew"
 
 # The driver aligns this well, so that the hitchhiker finds the marker in front of it (chosen).
 _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD = 0.08, 0.06
@@ -93,21 +68,6 @@ _REMEMBERED = 30
 # A robot that joins boards within this of where the first rider does (chosen).
 _JOIN_M = 0.5
 _NOWHERE = HitchhikingPoint("", (), Pose2D(), Pose2D())  # before a hitchhiker has said where
-
-
-class DriverState(Enum):
-    """Where the robot stands as the one who drives, alone or with a rider."""
-
-    __hash__ = object.__hash__  # members are one of a kind, and every event looks a row up
-
-    IDLE = "idle"
-    NAVIGATING = "navigating"
-    OFFERING = "offering"
-    ALIGNING = "aligning"
-    ALIGNED = "aligned"
-    DRIVING = "driving"
-    WAITING_FOR_RIDER = "waiting_for_rider"
-    DECOUPLING = "decoupling"
 
 
 S = DriverState
@@ -285,18 +245,18 @@ class DriverMachine(Machine[DriverState]):
 
     def _start(self, event: GoalGiven) -> None:
         self.own_goal = event.goal
-        self._go_to_own_goal()
+        self._go_to_own_goal(event.why)
 
     def _change_goal(self, event: GoalGiven) -> None:
-        self._end_rides(GOAL_CHANGED)
+        self._end_rides(Reason.GOAL_CANCELLED)
         self._start(event)
 
     def _stop(self, _event: GoalCancelled) -> None:
         self.own_goal = self._path = None
-        self._go(S.IDLE, GOAL_CHANGED)
+        self._go(S.IDLE, Reason.GOAL_CANCELLED)
 
     def _stop_ride(self, event: GoalCancelled) -> None:
-        self._end_rides(GOAL_CHANGED)
+        self._end_rides(Reason.GOAL_CANCELLED)
         self._stop(event)
 
     def _watch_own_goal(self, _tick: Tick) -> None:
@@ -311,7 +271,7 @@ class DriverMachine(Machine[DriverState]):
             self._answer_from_afar(request)
             return
         offer = self._check(request)
-        if isinstance(offer, str):
+        if isinstance(offer, Reason):
             self._deny(request, offer)
             return
         self._convoy.add(Rider(offer, request.rear_marker))
@@ -327,9 +287,9 @@ class DriverMachine(Machine[DriverState]):
         if rider is None:
             self._ask_to_join(request)
         elif request.in_s > 0.0:
-            self._deny(request, ALREADY_DRIVING)  # of another driver, it means, for when this ride is over
+            self._deny(request, Reason.ALREADY_DRIVING)  # of another driver, it means, for when this ride is over
         elif request.ride_id != rider.offer.ride_id:
-            self._drop(rider, ASKED_ANEW, tell=False)
+            self._drop(rider, Reason.ASKED_ANEW, tell=False)
             answer = self._consider if self.state is S.NAVIGATING else self._ask_to_join
             answer(request)
         elif self.state is S.OFFERING:
@@ -343,7 +303,7 @@ class DriverMachine(Machine[DriverState]):
     def _take_lock(self, lock: Lock) -> None:
         """A hitchhiker that was offered a ride from afar says where they meet (P18 §4)."""
         offer = self._offer_of(lock)
-        if isinstance(offer, str):
+        if isinstance(offer, Reason):
             self._refuse_lock(lock, offer)
             return
         self._join(lock, offer)
@@ -362,7 +322,7 @@ class DriverMachine(Machine[DriverState]):
         rider = self._convoy.find(lock)
         if rider is None:
             offer = self._offer_to_join(lock)
-            if isinstance(offer, str):
+            if isinstance(offer, Reason):
                 self._refuse_lock(lock, offer)
                 return
             rider = self._join(lock, offer)
@@ -371,14 +331,14 @@ class DriverMachine(Machine[DriverState]):
         in_s = self._to_board_m() / self.speed_limit_mps if self.params.mode == "network" else 0.0
         self._send(Ack(**self._to(rider), of=lock.type, acknowledges=lock.seq, place=place, in_s=in_s))
 
-    def _refuse_lock(self, lock: Lock, reason: str = NOT_OFFERED) -> None:
+    def _refuse_lock(self, lock: Lock, reason: Reason = Reason.NOT_OFFERED) -> None:
         if self._convoy.find(lock) is None:
             self.refused += 1
-            self._deny(lock, ALREADY_DRIVING if self.state in WITH_RIDER else reason)
+            self._deny(lock, Reason.ALREADY_DRIVING if self.state in WITH_RIDER else reason)
 
     def _watch_alignment(self, _tick: Tick) -> None:
         outcome = self._navigation_outcome()
-        if outcome == ARRIVED:
+        if outcome is not None and outcome.reason is Reason.ARRIVED:
             self._go(S.ALIGNED)
             self._repeat_aligned()
         elif outcome is not None:
@@ -419,7 +379,7 @@ class DriverMachine(Machine[DriverState]):
     def _watch_ride(self, _tick: Tick) -> None:
         self._count_metres()
         outcome = self._navigation_outcome()
-        if outcome == ARRIVED:
+        if outcome is not None and outcome.reason is Reason.ARRIVED:
             self._count_metres(last=True)
             leaves = self._convoy.next_to_leave
             for rider in self._convoy.coupled:
@@ -434,7 +394,7 @@ class DriverMachine(Machine[DriverState]):
         self._inform_all()
         if self._missing(self._now - self.params.ack_timeout_s):
             said = all(rider.following for rider in self._convoy.coupled)
-            self._go(S.WAITING_FOR_RIDER, "No acknowledgement" if said else "Hitchhiker does not follow")
+            self._go(S.WAITING_FOR_RIDER, Reason.NO_ACKNOWLEDGEMENT if said else Reason.NOT_FOLLOWING)
 
     def _inform(self, coupled: Coupled) -> None:
         """The message of every δ seconds also answers a *Coupling successful* that is repeated."""
@@ -469,14 +429,15 @@ class DriverMachine(Machine[DriverState]):
             rider.hear(ack, self._now)
         elif ack.of == Decouple.type and rider in self._leaving():
             last = len(self._leaving()) == 1
-            self._finish(rider, RIDE_COMPLETED, tell=False)
+            self._finish(rider, Reason.RIDE_COMPLETED, tell=False)
             if last:
-                self._close_up(RIDE_COMPLETED)
+                self._close_up(Reason.RIDE_COMPLETED)
 
     def _rider_gone(self, message: RequestCancel | Terminate) -> None:
         rider = self._convoy.find(message)
         if rider is not None:
-            self._drop(rider, getattr(message, "reason", "Request cancelled"), tell=False)
+            why = Ending.told(message.reason) if isinstance(message, Terminate) else Reason.REQUEST_CANCELLED
+            self._drop(rider, why, tell=False)
 
     # Timeouts.
 
@@ -493,29 +454,29 @@ class DriverMachine(Machine[DriverState]):
         return super()._limit_s(name)
 
     def _offer_expired(self) -> None:
-        self._end_rides("Offer not taken")
-        self._go_to_own_goal("Offer not taken")
+        self._end_rides(Reason.OFFER_NOT_TAKEN)
+        self._go_to_own_goal(Reason.OFFER_NOT_TAKEN)
 
     def _unable_to_align(self) -> None:
-        self._end_rides(UNABLE_TO_ALIGN)
-        self._go_to_own_goal(UNABLE_TO_ALIGN)
+        self._end_rides(Reason.UNABLE_TO_ALIGN)
+        self._go_to_own_goal(Reason.UNABLE_TO_ALIGN)
 
     def _couple_time(self) -> None:
         rider = self._convoy.next_to_couple
         assert rider is not None
-        self._drop(rider, LARGE_COUPLE_TIME, tell=True)
+        self._drop(rider, Reason.LARGE_COUPLE_TIME, tell=True)
         if self.state is S.ALIGNED:
             self._go(S.ALIGNED)
 
     def _rider_lost(self) -> None:
         for rider in self._behind():
-            self._finish(rider, RIDER_LOST, tell=True)
-        self._close_up(RIDER_LOST)
+            self._finish(rider, Reason.RIDER_LOST, tell=True)
+        self._close_up(Reason.RIDER_LOST)
 
     def _not_handed_over(self) -> None:
         for rider in self._leaving():
-            self._finish(rider, NO_HANDOVER, tell=True)
-        self._close_up(NO_HANDOVER)
+            self._finish(rider, Reason.NO_HANDOVER, tell=True)
+        self._close_up(Reason.NO_HANDOVER)
 
     # What several actions do.
 
@@ -527,16 +488,16 @@ class DriverMachine(Machine[DriverState]):
 
     # Offers.
 
-    def _check(self, request: Request) -> Offer | str:
+    def _check(self, request: Request) -> Offer | Reason:
         """The offer, or the reason of the denial, in the order of P17 Algorithm 1."""
         estimate = self.situation.estimate
         if (refusal := self._unwilling(request)) is not None:
             return refusal
         point = None if estimate is None else self._point_around(estimate.pose, request.pose)
         if point is None:
-            return INVALID_PLACE
+            return Reason.INVALID_PLACE
         if self.own_goal is None:
-            return PATH_TOO_SHORT
+            return Reason.PATH_TOO_SHORT
         try:
             apart_m = self.params.gap_m - self._marker_pose.x + _CAMERA_M
             point = _aligned_with(request.pose, point, apart_m)
@@ -545,32 +506,32 @@ class DriverMachine(Machine[DriverState]):
                 own_path, self._planner(request.pose, request.goal), self.params.overlap_tolerance_m
             )
         except PlanningError:
-            return PATH_TOO_SHORT
+            return Reason.PATH_TOO_SHORT
         if shared.farthest is None or shared.length_m < self.params.min_ride_m:
-            return PATH_TOO_SHORT
+            return Reason.PATH_TOO_SHORT
         if request.profile > self.params.profile:
-            return PROFILE_MISMATCH
+            return Reason.PROFILE_MISMATCH
         return Offer(request.robot_id, request.ride_id, point, shared.length_m, shared.farthest)
 
-    def _unwilling(self, request: Request) -> str | None:
+    def _unwilling(self, request: Request) -> Reason | None:
         if not self.params.may_drive:
-            return NO_DRIVER
+            return Reason.NO_DRIVER
         if max(self.params.priority, request.priority) >= TIME_CRITICAL_PRIORITY:
-            return HIGH_PRIORITY
+            return Reason.HIGH_PRIORITY
         return None
 
     def _answer_from_afar(self, request: Request) -> None:
         """Every able driver accepts, with its way and its times; it denies at once with the reason (P18 Alg. 2)."""
         reason = self._unwilling(request)
         if reason is None and not self.free_places:
-            reason = PATH_TOO_SHORT if self.state in (S.IDLE, S.NAVIGATING) else ALREADY_DRIVING
+            reason = Reason.PATH_TOO_SHORT if self.state in (S.IDLE, S.NAVIGATING) else Reason.ALREADY_DRIVING
         if reason is None and not self._on_the_way(request):
-            reason = PATH_TOO_SHORT
+            reason = Reason.PATH_TOO_SHORT
         if reason is None and request.profile > self.params.profile:
-            reason = PROFILE_MISMATCH
+            reason = Reason.PROFILE_MISMATCH
         waypoints = self.announced() if reason is None else ()
         if reason is None and not waypoints:
-            reason = PATH_TOO_SHORT
+            reason = Reason.PATH_TOO_SHORT
         if reason is not None:
             self._deny(request, reason)
             return
@@ -597,8 +558,8 @@ class DriverMachine(Machine[DriverState]):
         if self.params.mode == "network":
             self._answer_from_afar(request)
             return
-        offer = self._check(request) if self.free_places else ALREADY_DRIVING
-        if isinstance(offer, str):
+        offer = self._check(request) if self.free_places else Reason.ALREADY_DRIVING
+        if isinstance(offer, Reason):
             self._deny(request, offer)
             return
         self._promise(offer)
@@ -639,19 +600,19 @@ class DriverMachine(Machine[DriverState]):
             )
         )
 
-    def _offer_of(self, lock: Lock) -> Offer | str:
+    def _offer_of(self, lock: Lock) -> Offer | Reason:
         """The ride that a lock from afar is about, or the reason of the denial."""
         if self._promised(lock) is None or lock.aligning is None or lock.waiting is None or lock.leave is None:
-            return NOT_OFFERED
+            return Reason.NOT_OFFERED
         path = self._own_path()
         if path is None:
-            return PATH_TOO_SHORT
+            return Reason.PATH_TOO_SHORT
         try:
             begin_m, end_m = stretch(path, lock.aligning, lock.leave)
         except ItineraryInputError:
-            return INVALID_PLACE
+            return Reason.INVALID_PLACE
         if end_m - begin_m < self.params.min_ride_m - _RIDE_TOLERANCE_M:
-            return PATH_TOO_SHORT
+            return Reason.PATH_TOO_SHORT
         known = (
             p for p in self._sites.hitchhiking_points if distance(p.waiting_pose, lock.waiting) < _RIDE_TOLERANCE_M
         )
@@ -660,21 +621,21 @@ class DriverMachine(Machine[DriverState]):
         self._way_s = self.params.patience_s + 2.0 * self._to_board_m() / self.params.cruise_speed_mps
         return Offer(lock.robot_id, lock.ride_id, point, end_m - begin_m, path.at(end_m))
 
-    def _offer_to_join(self, lock: Lock) -> Offer | str:
+    def _offer_to_join(self, lock: Lock) -> Offer | Reason:
         """As of :meth:`_offer_of`, for one that boards where the first rider does."""
         assert self.offer is not None
         if not self.free_places:
-            return ALREADY_DRIVING
-        offer: Offer | str | None = self._promised(lock)
+            return Reason.ALREADY_DRIVING
+        offer: Offer | Reason | None = self._promised(lock)
         if offer is not None and self.params.mode == "network":
             board_m, way_s = self._board_m, self._way_s
             offer = self._offer_of(lock)
             self._board_m, self._way_s = board_m, way_s
         if not isinstance(offer, Offer):
-            return offer or NOT_OFFERED
+            return offer or Reason.NOT_OFFERED
         here = self.offer.point
         if distance(offer.point.aligning_pose, here.aligning_pose) > _JOIN_M:
-            return INVALID_PLACE
+            return Reason.INVALID_PLACE
         return replace(offer, point=here)
 
     def _join(self, lock: Lock, offer: Offer) -> Rider:
@@ -705,7 +666,7 @@ class DriverMachine(Machine[DriverState]):
         for rider in self._convoy:
             silent = self._now - max(rider.heard_at, rider.due) > self.params.contact_timeout_s
             if self.params.mode == "network" and not rider.coupled and silent:
-                self._drop(rider, RIDER_GONE, tell=True)
+                self._drop(rider, Reason.RIDER_GONE, tell=True)
 
     def _inform_all(self, but: tuple[Rider, ...] = ()) -> None:
         """The message of every δ seconds (P17 §4)."""
@@ -748,10 +709,10 @@ class DriverMachine(Machine[DriverState]):
                 rider.ridden_m += step
             self._odometer_at = estimate.pose
 
-    def _finish(self, rider: Rider, reason: str, tell: bool) -> None:
+    def _finish(self, rider: Rider, reason: Ending | Reason, tell: bool) -> None:
         """The ride is over for one, whatever the cause; κ · metres ridden are credited once (P17 §5)."""
         if tell:
-            end = Terminate(**self._to(rider), reason=reason)
+            end = Terminate(**self._to(rider), reason=str(reason))
             self._send_last_word(end, self.params.repeat_period_s, self.params.confirm_timeout_s)
         if rider.ridden_m > 0.0:
             offer, points = rider.offer, self.params.award_rate * rider.ridden_m
@@ -759,11 +720,11 @@ class DriverMachine(Machine[DriverState]):
         self._report(reason)
         self._convoy.remove(rider)
 
-    def _end_rides(self, reason: str) -> None:
+    def _end_rides(self, reason: Ending | Reason) -> None:
         for rider in self._convoy:
             self._finish(rider, reason, tell=True)
 
-    def _drop(self, rider: Rider, reason: str, tell: bool) -> None:
+    def _drop(self, rider: Rider, reason: Ending | Reason, tell: bool) -> None:
         """One goes, the others come along; the driver goes on to its own goal when nobody is left."""
         self._finish(rider, reason, tell)
         if not len(self._convoy) or (self.state is S.DECOUPLING and not self._leaving()):
@@ -772,10 +733,10 @@ class DriverMachine(Machine[DriverState]):
             self._odometer_at = None
             self._go(S.DRIVING, reason)
 
-    def _close_up(self, reason: str) -> None:
+    def _close_up(self, reason: Ending | Reason) -> None:
         """On to the own goal, or with the riders that are left, once they have moved up."""
         if len(self._convoy):
-            self._go(S.WAITING_FOR_RIDER, CLOSING_UP)
+            self._go(S.WAITING_FOR_RIDER, Reason.CLOSING_UP)
         else:
             self._go_to_own_goal(reason)
 
@@ -806,11 +767,11 @@ class DriverMachine(Machine[DriverState]):
                 return point
         return None
 
-    def _deny(self, message: Request | Lock, reason: str) -> None:
-        self._send(Deny(robot_id=self.robot_id, to=message.robot_id, ride_id=message.ride_id, reason=reason))
+    def _deny(self, message: Request | Lock, reason: Reason) -> None:
+        self._send(Deny(robot_id=self.robot_id, to=message.robot_id, ride_id=message.ride_id, reason=str(reason)))
 
-    def _navigation_outcome(self) -> str | None:
-        """ARRIVED, or why the current goal is given up; None while navigation is at it."""
+    def _navigation_outcome(self) -> Ending | None:
+        """Reason.ARRIVED, or why the current goal is given up; None while navigation is at it."""
         goal, report = self.goal, self.situation.navigation
         current = goal is not None and report is not None and report.goal_id == goal.id
         state = report.state if report is not None and current else ""
@@ -818,15 +779,15 @@ class DriverMachine(Machine[DriverState]):
             self._planned_at = self._now
         if state not in ("blocked", "failed"):
             self._stuck_since = self._now
-            return ARRIVED if state == "arrived" else None
+            return Ending(Reason.ARRIVED) if state == "arrived" else None
         # A new order is not stuck because the one before was.
         without_plan = self._now - max(self._planned_at, self._entered)
         stuck = self._now - max(self._stuck_since, self._entered)
         if without_plan <= self.params.planner_patience_s and stuck <= self.params.stuck_timeout_s:
             return None
-        return f"{CANNOT_GO_ON}: {report.reason if report is not None else ''}"
+        return Ending(Reason.CANNOT_GO_ON, report.reason if report is not None else "")
 
-    def _go_to_own_goal(self, reason: str = "") -> None:
+    def _go_to_own_goal(self, reason: Ending | Reason = Reason.NONE) -> None:
         """A new order, with an id that no earlier order had, not even one of before a restart."""
         self._goals += 1
         self._path, self._asked = None, {}

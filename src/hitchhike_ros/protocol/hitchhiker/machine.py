@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -26,16 +25,9 @@ from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 from hitchhike_ros.localization.handover import handover
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
-from hitchhike_ros.protocol.machine import (
-    GoalCancelled,
-    GoalGiven,
-    Machine,
-    Row,
-    TakeObstacles,
-    TakePose,
-    Tick,
-    Timeout,
-)
+from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven, TakeObstacles, TakePose, Tick
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
+from hitchhike_ros.protocol.loose_machine import Machine, Row, Timeout
 from hitchhike_ros.protocol.matching import Meeting, choose
 from hitchhike_ros.protocol.messages import (
     EVERYBODY,
@@ -56,23 +48,8 @@ from hitchhike_ros.protocol.messages import (
 )
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import LOCALIZATION_SILENT, Ending, Reason
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatus, ServoCommand
-
-DRIVER_NOT_FOUND = "Driver not found"
-ALONE_IS_BETTER = "Driving alone is better"
-DRIVER_GONE = "Driver not heard of"
-DRIVER_LATE = "Driver is late"
-CANNOT_MEET = "No way to the hitchhiking point"
-DRIVER_LOST = "Driver lost"
-DRIVER_SILENT = "No message from the driver"
-DRIVER_NOT_ALIGNED = "Driver did not align"
-NOT_COUPLED = "Large couple_time"
-NOT_CAUGHT = "Driver not caught up with"
-RIDE_CANCELLED = "Goal cancelled"
-
-# Why a ride that goes on is not simply ridden.
-OUT_OF_SIGHT = "Driver out of sight"
-SEEN_AGAIN = "Driver seen again"
 
 # What it tells its own modules of the driver's speed, which following knows to 0.3 m/s, and of the metres ridden, comes
 # in steps, since every change of the status wakes all of them (chosen).
@@ -97,26 +74,6 @@ _LOST_SIGMA = (0.5, 0.5, 0.3)
 _TAKEN_M = 4.0 * _LOST_SIGMA[0]
 
 
-class HitchhikerState(Enum):
-    """Where the ride stands for the one who rides."""
-
-    __hash__ = object.__hash__  # members are one of a kind, and every event looks a row up
-
-    IDLE = "idle"
-    REQUESTING = "requesting"
-    LOCKING = "locking"
-    AWAITING_ALIGNED = "awaiting_aligned"
-    COUPLING = "coupling"
-    RIDING = "riding"
-    SEEKING = "seeking"
-    LOCATING = "locating"
-    CATCHING_UP = "catching_up"
-    RECOUPLING = "recoupling"
-    PARTING = "parting"
-    SETTLING = "settling"
-    RELOCALIZING = "relocalizing"
-
-
 S = HitchhikerState
 BEFORE_RIDE = (S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING)
 COUPLED = (S.RIDING, S.SEEKING, S.SETTLING)
@@ -124,7 +81,7 @@ RETURNING = (S.LOCATING, S.CATCHING_UP, S.RECOUPLING)
 
 
 class HitchhikerMachine(Machine[HitchhikerState]):
-    """Rides towards a goal; back in IDLE, ``reason`` says how it ended and the robot goes on alone.
+    """Rides towards a goal; back in IDLE, ``ending`` says how it ended and the robot goes on alone.
 
     ``camera`` is the camera's position in base_footprint: gaps are measured from there.
     """
@@ -321,9 +278,10 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._answered.add(offer.robot_id)
 
     def _note_denial(self, denial: Deny) -> None:
-        if denial.reason != self.reason:
-            self._report(f"{denial.robot_id} denies: {denial.reason}")
-        self.reason = denial.reason
+        told = Ending.told(denial.reason)
+        if told != self.ending:
+            self._report(f"{denial.robot_id} denies: {told}", told.reason)
+        self.ending = told
         self._offers.pop(denial.robot_id, None)
         self._answered.add(denial.robot_id)
 
@@ -358,7 +316,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         if not self._sent_off and self.ready_in_s <= 0.0 and self.situation.estimate is not None:
             self._way, self._sent_off = self._way_to_wait(), True
         if (reason := self._why_not_meet()) is not None:
-            self._tell(Terminate(**self._to_driver(), reason=reason))
+            self._tell(Terminate(**self._to_driver(), reason=str(reason)))
             self._ask_again(reason)
         elif self._every(self.params.request_period_s, "lock"):
             self._send_lock()
@@ -381,7 +339,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._go(S.COUPLING)
 
     def _offer_withdrawn(self, message: Deny | Terminate) -> None:
-        self._ask_again(message.reason)
+        self._ask_again(Ending.told(message.reason))
 
     def _watch_gap(self, _tick: Tick) -> None:
         gap = self._settled_gap()
@@ -389,7 +347,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             return
         self._heard_at = self._now
         self._track, self._told, self.left_at = DriverTrack(), deque(), None
-        self._start_riding(gap, "")
+        self._start_riding(gap, Reason.NONE)
 
     def _watch_driver(self, _tick: Tick) -> None:
         gap = self.gap_m()
@@ -398,41 +356,41 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             if self._report_at is None and self._every(self.params.repeat_period_s, "coupled"):
                 self._send_coupled(gap)
         if self._silent():
-            self._lose_driver(DRIVER_SILENT)
+            self._lose_driver(Reason.DRIVER_SILENT)
         elif gap is None and self._now - self._seen_at > self.params.repeat_period_s:
-            self._go(S.SEEKING, OUT_OF_SIGHT)
+            self._go(S.SEEKING, Reason.OUT_OF_SIGHT)
 
     def _seek(self, _tick: Tick) -> None:
         gap = self.gap_m()
         if self._silent():
-            self._lose_driver(DRIVER_SILENT)
+            self._lose_driver(Reason.DRIVER_SILENT)
         elif gap is not None:
-            self._start_riding(gap, SEEN_AGAIN)
+            self._start_riding(gap, Reason.SEEN_AGAIN)
 
     def _locate(self, _tick: Tick) -> None:
         if self._silent():
-            self._tell(Terminate(**self._to_driver(), reason=DRIVER_SILENT))
-            self._go(S.RELOCALIZING, DRIVER_SILENT)
+            self._tell(Terminate(**self._to_driver(), reason=str(Reason.DRIVER_SILENT)))
+            self._go(S.RELOCALIZING, Reason.DRIVER_SILENT)
         elif self._located():
-            self._go(S.CATCHING_UP, OUT_OF_SIGHT)
+            self._go(S.CATCHING_UP, Reason.OUT_OF_SIGHT)
             self._way = self._aimed_at = None
 
     def _catch_up(self, _tick: Tick) -> None:
         gap = self.gap_m()
         if self._silent():
-            self._go_alone(DRIVER_SILENT)
+            self._go_alone(Reason.DRIVER_SILENT)
         elif gap is not None and gap <= self.params.gap_m + _COUPLING_REACH_M:
             self._in_gap_since = None
-            self._go(S.RECOUPLING, SEEN_AGAIN)
+            self._go(S.RECOUPLING, Reason.SEEN_AGAIN)
         elif not self._aim_at_driver():
-            self._go_alone(NOT_CAUGHT)
+            self._go_alone(Reason.NOT_CAUGHT)
 
     def _recouple(self, _tick: Tick) -> None:
         gap = self._settled_gap()
         if self._silent():
-            self._go_alone(DRIVER_SILENT)
+            self._go_alone(Reason.DRIVER_SILENT)
         elif gap is not None:
-            self._start_riding(gap, SEEN_AGAIN)
+            self._start_riding(gap, Reason.SEEN_AGAIN)
 
     def _acknowledge(self, message: Driver) -> None:
         self._hear(message)
@@ -470,27 +428,27 @@ class HitchhikerMachine(Machine[HitchhikerState]):
     def _take_over_now(self) -> None:
         seen = self._observation()
         if seen is None:
-            self._lose_driver(DRIVER_LOST)
+            self._lose_driver(Reason.DRIVER_LOST)
             return
-        self._relocalize(self._pose_behind_driver(seen), "")
+        self._relocalize(self._pose_behind_driver(seen), Reason.NONE)
         self._taken_over = True
         if self._report_at is not None:
             self._answer_late(self._report_at)
 
     def _abandoned(self, message: Terminate) -> None:
-        self._relocalize(self._rough_pose(), message.reason)
+        self._relocalize(self._rough_pose(), Ending.told(message.reason))
 
     def _left_behind(self, message: Terminate) -> None:
-        self._part(message.reason)
+        self._part(Ending.told(message.reason))
 
     def _overtaken(self, message: Decouple) -> None:
         """The driver has come to the end of the ride without its rider."""
         self._hear(message)
-        self._tell(Terminate(**self._to_driver(), reason=DRIVER_LOST))
+        self._tell(Terminate(**self._to_driver(), reason=str(Reason.DRIVER_LOST)))
         if self.state is S.LOCATING:
-            self._go(S.RELOCALIZING, DRIVER_LOST)
+            self._go(S.RELOCALIZING, Reason.DRIVER_LOST)
         else:
-            self._part(DRIVER_LOST)
+            self._part(Reason.DRIVER_LOST)
 
     def _watch_localization(self, _tick: Tick) -> None:
         if self._located():
@@ -498,13 +456,13 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             if taken is not None and estimate is not None and self.left_at is not None:  # it stands as it did
                 self.left_at = compose(estimate.pose, between(taken.pose, self.left_at))
             end = self._finish if self._taken_over or self.goal is None else self._part
-            end(self.reason)
+            end(self.ending)
 
     def _answer_late(self, message: Decouple | Driver | Aligned) -> None:
         """The driver still carries on with the ride that is over here: what it was told was lost."""
         to_driver: dict[str, Any] = {"robot_id": self.robot_id, "to": message.robot_id, "ride_id": message.ride_id}
         if not self._taken_over:
-            self._send(Terminate(**to_driver, reason=self.reason))
+            self._send(Terminate(**to_driver, reason=str(self.ending)))
         elif isinstance(message, Decouple):
             self._send(Ack(**to_driver, of=message.type, acknowledges=message.seq, gap_m=self.gap_m()))
 
@@ -512,21 +470,21 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._cancel_offers()
         if self.offer is not None:
             self._tell(RequestCancel(**self._to_driver()))
-        self._finish(RIDE_CANCELLED)
+        self._finish(Reason.GOAL_CANCELLED)
 
     def _cancel_ride(self, _event: GoalCancelled) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=RIDE_CANCELLED))
+        self._tell(Terminate(**self._to_driver(), reason=str(Reason.GOAL_CANCELLED)))
         self.goal = None
-        self._relocalize(self._rough_pose(), RIDE_CANCELLED)
+        self._relocalize(self._rough_pose(), Reason.GOAL_CANCELLED)
 
     def _cancel_return(self, _event: GoalCancelled) -> None:
         self.goal = None
-        self._tell(Terminate(**self._to_driver(), reason=RIDE_CANCELLED))
-        self._finish(RIDE_CANCELLED)
+        self._tell(Terminate(**self._to_driver(), reason=str(Reason.GOAL_CANCELLED)))
+        self._finish(Reason.GOAL_CANCELLED)
 
     def _cancel_parting(self, _event: GoalCancelled) -> None:
         self.goal = None
-        self._finish(RIDE_CANCELLED)
+        self._finish(Reason.GOAL_CANCELLED)
 
     def _nothing_to_cancel(self, _event: GoalCancelled) -> None:
         self.goal = None
@@ -543,38 +501,38 @@ class HitchhikerMachine(Machine[HitchhikerState]):
 
     def _driver_not_found(self) -> None:
         self._cancel_offers()
-        self._finish(f"{DRIVER_NOT_FOUND} ({self.reason})" if self.reason else DRIVER_NOT_FOUND)
+        self._finish(Ending(Reason.DRIVER_NOT_FOUND, str(self.ending)))
 
     def _lock_lost(self) -> None:
         self._tell(RequestCancel(**self._to_driver()))
-        self._ask_again("Lock not confirmed")
+        self._ask_again(Reason.LOCK_NOT_CONFIRMED)
 
     def _not_aligned(self) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=DRIVER_NOT_ALIGNED))
-        self._ask_again(DRIVER_NOT_ALIGNED)
+        self._tell(Terminate(**self._to_driver(), reason=str(Reason.DRIVER_NOT_ALIGNED)))
+        self._ask_again(Reason.DRIVER_NOT_ALIGNED)
 
     def _not_coupled(self) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=NOT_COUPLED))
-        self._ask_again(NOT_COUPLED)
+        self._tell(Terminate(**self._to_driver(), reason=str(Reason.LARGE_COUPLE_TIME)))
+        self._ask_again(Reason.LARGE_COUPLE_TIME)
 
     def _not_found(self) -> None:
         self._restart_from(self._rough_pose())
-        self._go(S.LOCATING, DRIVER_LOST)
+        self._go(S.LOCATING, Reason.DRIVER_LOST)
 
     def _give_up_locating(self) -> None:
-        self._go_alone(f"{DRIVER_LOST}; localization did not answer")
+        self._go_alone(Ending(Reason.DRIVER_LOST, LOCALIZATION_SILENT))
 
     def _not_caught(self) -> None:
-        self._go_alone(NOT_CAUGHT)
+        self._go_alone(Reason.NOT_CAUGHT)
 
     def _not_recoupled(self) -> None:
-        self._go_alone(NOT_COUPLED)
+        self._go_alone(Reason.LARGE_COUPLE_TIME)
 
     def _parted(self) -> None:
-        self._finish(self.reason)
+        self._finish(self.ending)
 
     def _give_up_localizing(self) -> None:
-        self._finish(f"{self.reason}; localization did not answer".lstrip("; "))
+        self._finish(self.ending.adding(LOCALIZATION_SILENT))
 
     # What several actions do.
 
@@ -618,7 +576,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._requested_at, self._offers, self._answered, self.meeting = self._now, {}, set(), None
         self._sent_off, self._way = False, None
 
-    def _ask_again(self, reason: str) -> None:
+    def _ask_again(self, reason: Ending | Reason) -> None:
         """Back to asking, as long as T_hwait of the first request allows."""
         self._report(reason)
         self._cancel_offers()
@@ -627,17 +585,17 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         self._go(S.REQUESTING, reason)
         self._entered = self._asked_since
 
-    def _finish(self, reason: str) -> None:
-        self._report(reason or "Ride completed")
+    def _finish(self, reason: Ending | Reason) -> None:
+        self._report(reason or Reason.RIDE_COMPLETED)
         self._go(S.IDLE, reason)
         self.offer = self._rear_marker = self.meeting = None
 
-    def _go_alone(self, reason: str) -> None:
+    def _go_alone(self, reason: Ending | Reason) -> None:
         """The ride is over for one that knows where it is."""
-        self._tell(Terminate(**self._to_driver(), reason=reason))
+        self._tell(Terminate(**self._to_driver(), reason=str(reason)))
         self._part(reason)
 
-    def _part(self, reason: str) -> None:
+    def _part(self, reason: Ending | Reason) -> None:
         """Both are near each other, and neither sees well to its back: one goes first."""
         self._go(S.PARTING, reason)
 
@@ -672,7 +630,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._lock(self._offers[self.meeting.driver][0])
         elif self._offers:
             self._cancel_offers()
-            self._finish(ALONE_IS_BETTER)
+            self._finish(Reason.ALONE_IS_BETTER)
         else:
             self._driver_not_found()
 
@@ -749,14 +707,14 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         report, way = self.situation.navigation, self._way
         return report is not None and way is not None and (report.goal_id, report.state) == (way.id, "arrived")
 
-    def _why_not_meet(self) -> str | None:
+    def _why_not_meet(self) -> Reason | None:
         """Why the ride that was arranged comes to nothing; None while it may still come about."""
         assert self.meeting is not None
         if self._now - self._heard_at > self.params.contact_timeout_s:
-            return DRIVER_GONE
+            return Reason.DRIVER_GONE
         if self._driver_due_at > self._agreed_at + self.meeting.begins_in_s + self.params.patience_s:
-            return DRIVER_LATE
-        return CANNOT_MEET if self._no_way() else None
+            return Reason.DRIVER_LATE
+        return Reason.CANNOT_MEET if self._no_way() else None
 
     def _no_way(self) -> bool:
         """Whether navigation has had no path to there for a while."""
@@ -783,7 +741,7 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._in_gap_since = seen.stamp
         return gap if seen.stamp - self._in_gap_since >= _SETTLED_S else None
 
-    def _start_riding(self, gap: float, reason: str) -> None:
+    def _start_riding(self, gap: float, reason: Ending | Reason) -> None:
         self._seen_at, self.rode = self._now, True
         self._go(S.RIDING, reason)
         self._send_coupled(gap)
@@ -851,11 +809,11 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             self._looking_since = self._now
         return self._now - self._looking_since > self.params.look_s
 
-    def _lose_driver(self, reason: str) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=reason))
+    def _lose_driver(self, reason: Ending | Reason) -> None:
+        self._tell(Terminate(**self._to_driver(), reason=str(reason)))
         self._relocalize(self._rough_pose(), reason)
 
-    def _relocalize(self, pose: PoseEstimate | None, reason: str) -> None:
+    def _relocalize(self, pose: PoseEstimate | None, reason: Ending | Reason) -> None:
         self._restart_from(pose)
         self._go(S.RELOCALIZING, reason)
 

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 
 from hitchhike_ros.core.datatypes import NonNegative, Obstacle, Pose2D
 from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.events import Award, Report
 from hitchhike_ros.protocol.inbox import Inbox
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import NONE, Ending, Reason
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.simulation.grid.body import Body
 from hitchhike_ros.simulation.grid.inbox import ObjectInbox
@@ -40,12 +42,15 @@ class Trip:
     goal: Pose2D
     began_s: float
     ended_s: float | None = None
-    reached: bool = False
-    reason: str = ""
+    reason: Ending = NONE
     driven_m: float = 0.0
     ridden_m: float = 0.0
     coupled_s: float = 0.0  # with its own modules off
     asked_s: float = 0.0  # in the states before a ride
+
+    @property
+    def reached(self) -> bool:
+        return self.reason.reason is Reason.ARRIVED
 
 
 @dataclass(eq=False)
@@ -65,7 +70,7 @@ class GridRobot:
     trips: list[Trip] = field(default_factory=list)
     known: dict[str, Obstacle] = field(default_factory=dict)  # the boxes in its map
     awards: list[Award] = field(default_factory=list)
-    reports: list[tuple[float, str]] = field(default_factory=list)
+    reports: list[tuple[float, Report]] = field(default_factory=list)
     history: list[tuple[float, str, str]] = field(default_factory=list)  # when it came to which state, and why
     state_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     sent: Counter[str] = field(default_factory=Counter)
@@ -76,7 +81,7 @@ class GridRobot:
     # Of the event loop.
     status: Status = field(default_factory=lambda: Status(0.0, ""))
     key: tuple[object, object] = (None, None)  # the states of its machines when its status was last asked for
-    seq: int = 0
+    outbox: Outbox = field(default_factory=Outbox)
     due: float = math.inf  # of its next tick
     beacon_due: float = 0.0
     engaged: bool = False  # in more than driving alone
@@ -140,10 +145,10 @@ class GridRobot:
         trip.coupled_s, trip.asked_s = -self.coupled_s, -self.asked_s
         self.trips.append(trip)
 
-    def end_trip(self, trip: Trip, now: float, reached: bool, reason: str) -> None:
+    def end_trip(self, trip: Trip, now: float, ending: Ending) -> None:
         """The trip under way is over."""
         self.account(now)
-        trip.ended_s, trip.reached, trip.reason = now, reached, reason
+        trip.ended_s, trip.reason = now, ending
         trip.driven_m += self.body.odometer_m
         trip.ridden_m += self.ridden_m
         trip.coupled_s += self.coupled_s
@@ -158,6 +163,6 @@ class GridRobot:
 
     def wake(self, traveller: Traveller, inbox: Inbox | ObjectInbox, now: float) -> None:
         """Its computer is on again, and remembers nothing but the map."""
-        self.traveller, self.inbox, self.seq = traveller, inbox, 0
+        self.traveller, self.inbox, self.outbox = traveller, inbox, Outbox()
         self.alive, self.key, self.lingers_until = True, (None, None), -math.inf
         self.status, self.since = traveller.status(now + self.clock_offset_s, others=False), now

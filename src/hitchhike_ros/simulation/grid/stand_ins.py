@@ -11,7 +11,7 @@ import numpy as np
 from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.core.geometry import between
-from hitchhike_ros.protocol.machine import NavigationReport, Situation
+from hitchhike_ros.protocol.events import NavigationReport, Situation
 from hitchhike_ros.protocol.status import ServoCommand
 from hitchhike_ros.simulation.grid.body import Body
 from hitchhike_ros.simulation.grid.camera import MarkerCamera

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
-from hitchhike_ros.protocol.machine import Award, Effect, GoalGiven, Report, Send, Tick
+from hitchhike_ros.protocol.events import Award, Effect, GoalGiven, Report, Send, Tick
 from hitchhike_ros.protocol.messages import Message
 
 Observer = Callable[[float, str, object, Sequence[Effect]], None]

@@ -19,8 +19,7 @@ from hitchhike_ros.core.datatypes import Obstacle, Pose2D
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.agent import Traveller
-from hitchhike_ros.protocol.inbox import Inbox
-from hitchhike_ros.protocol.machine import (
+from hitchhike_ros.protocol.events import (
     Award,
     Effect,
     GoalCancelled,
@@ -30,10 +29,11 @@ from hitchhike_ros.protocol.machine import (
     TakeObstacles,
     TakePose,
     Tick,
-    stamped,
 )
+from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.messages import Beacon, Lock, Message, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.simulation.grid.air import Air
 from hitchhike_ros.simulation.grid.body import Body
 from hitchhike_ros.simulation.grid.inbox import ObjectInbox
@@ -123,7 +123,7 @@ class GridWorld:
         if not robot.alive:
             return
         if (trip := robot.trip) is not None:
-            robot.end_trip(trip, self.now, False, "Goal changed")
+            robot.end_trip(trip, self.now, Ending(Reason.GOAL_CHANGED))
         if goal is not None:
             robot.begin_trip(goal, self.now)
         self._step(robot, GoalCancelled() if goal is None else GoalGiven(goal))
@@ -234,7 +234,7 @@ class GridWorld:
             self._modules.perceive(robot)
         self._step(robot, Tick(self._modules.situation(robot, now)))
         if (trip := robot.trip) is not None and (outcome := robot.traveller.outcome) is not None:
-            robot.end_trip(trip, now, *outcome)
+            robot.end_trip(trip, now, outcome)
             if robot.errands:
                 next_s = max(robot.errands[0].at_s, now + robot.errands[0].after_s)
                 self.at(next_s, lambda: self._next_errand(robot))
@@ -297,8 +297,7 @@ class GridWorld:
 
     def _carry_out(self, robot: GridRobot, effect: Effect, local: float) -> None:
         if isinstance(effect, Send):
-            robot.seq += 1
-            message = stamped(effect.message, robot.seq, local)
+            message = robot.outbox.stamp(effect.message, local)
             robot.sent[message.type] += 1
             if isinstance(message, Beacon):
                 robot.beacon_due = self.now + robot.params.beacon_period_s
@@ -309,7 +308,7 @@ class GridWorld:
         elif isinstance(effect, Award):
             robot.awards.append(effect)
         elif isinstance(effect, Report):
-            robot.reports.append((self.now, effect.text))
+            robot.reports.append((self.now, effect))
         else:
             assert isinstance(effect, TakePose)  # localization is exact anyway
 

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from fault_outcomes import FILE, SEEDS, outcome
-from hitchhike_ros.protocol.driver.machine import DriverState
-from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerState
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 
 EXPECTED = json.loads(FILE.read_text(encoding="utf-8"))
 

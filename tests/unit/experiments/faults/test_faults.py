@@ -14,9 +14,10 @@ from hitchhike_ros.protocol.agent import Traveller
 from hitchhike_ros.protocol.driver import machine as d
 from hitchhike_ros.protocol.driver.convoy import Convoy, Rider
 from hitchhike_ros.protocol.driver.machine import DriverMachine
+from hitchhike_ros.protocol.events import Award, TakeObstacles
 from hitchhike_ros.protocol.hitchhiker import machine as h
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
-from hitchhike_ros.protocol.machine import Award, Machine, TakeObstacles
+from hitchhike_ros.protocol.loose_machine import Machine
 
 # Bad networks and worse ones take turns.
 SEEDS = [seed for k in range(100) for seed in (k, SEVERE + k)]

@@ -14,7 +14,7 @@ from hitchhike_ros.experiments.scenarios.ride_record import (
     load_record,
     save_record,
 )
-from hitchhike_ros.protocol.driver.machine import ARRIVED
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import ServoCommand, Status
 from synthetic_ride import CAMERA, MARKER, synthetic_ride
 
@@ -42,7 +42,7 @@ def test_a_robot_has_arrived_when_it_moved_and_says_so() -> None:
     robot.add_status(Status(2.0, "t", reason="Navigation failed: blocked"))
     assert robot.ended
     assert not robot.arrived
-    robot.add_status(Status(3.0, "t", reason=ARRIVED))
+    robot.add_status(Status(3.0, "t", reason=str(Reason.ARRIVED)))
     assert robot.arrived
 
 

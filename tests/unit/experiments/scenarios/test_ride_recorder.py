@@ -11,7 +11,7 @@ import pytest
 from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.experiments.scenarios.ride_record import Contact, CpuSample, TimedPose, TrafficSample
 from hitchhike_ros.experiments.scenarios.ride_recorder import RideRecorder, Sampling, SamplingParameters, missed
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.status import RideStatus, Status
 from hitchhike_ros.simulation.world_file import load_world
 from repository import ROOT

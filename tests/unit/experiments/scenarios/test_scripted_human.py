@@ -12,7 +12,7 @@ from hitchhike_ros.experiments.scenarios.scripted_human import (
     OperatorScript,
     ScriptedHuman,
 )
-from hitchhike_ros.protocol.driver.machine import ARRIVED
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import GoalCommand, Status
 
 ROUTE = np.array([(0.0, 0.0), (5.0, 0.0)])
@@ -82,11 +82,11 @@ def test_robots_are_driven_one_after_another_once_all_have_goals() -> None:
     for name in ("turtlebot", "p3dx2"):
         made.status(name, on_its_way(name))
     assert (made.turn, made.keys(0.0)) == ("p3dx", ("p3dx", "w"))
-    made.status("p3dx", Status(9.0, "p3dx", reason=ARRIVED))
+    made.status("p3dx", Status(9.0, "p3dx", reason=str(Reason.ARRIVED)))
     assert (made.turn, made.keys(9.0)) == ("turtlebot", ("turtlebot", "w"))
-    made.status("turtlebot", Status(19.0, "turtlebot", reason=ARRIVED))
+    made.status("turtlebot", Status(19.0, "turtlebot", reason=str(Reason.ARRIVED)))
     assert (made.turn, made.keys(19.0), made.completed) == ("p3dx2", None, False)
-    made.status("p3dx2", Status(20.0, "p3dx2", reason=ARRIVED))
+    made.status("p3dx2", Status(20.0, "p3dx2", reason=str(Reason.ARRIVED)))
     assert (made.turn, made.completed) == (None, True)
 
 

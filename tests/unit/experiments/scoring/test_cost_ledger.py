@@ -32,7 +32,7 @@ from hitchhike_ros.experiments.scoring.cost_ledger import (
 )
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.experiments.scoring.rides import find_ride
-from hitchhike_ros.protocol.driver.machine import ARRIVED
+from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import Status
 from synthetic_ride import CAMERA, DECOUPLING, MARKER, RELEASED, REQUESTED, RIDING, SPEED, synthetic_ride
 
@@ -83,7 +83,7 @@ def alone() -> RideRecord:
         robot.truth.append(TimedPose(stamp, start.x + SPEED * min(max(stamp - 4.0, 0.0), 50.0), 5.82, 0.0))
     for status in (Status(0.5, "turtlebot"), Status(2.0, "turtlebot", "none", "navigating")):
         robot.add_status(status)
-    robot.add_status(Status(60.0, "turtlebot", reason=ARRIVED))
+    robot.add_status(Status(60.0, "turtlebot", reason=str(Reason.ARRIVED)))
     record = RideRecord("p17_exp1", 3, (), {"turtlebot": robot})
     record.clock = [ClockSample(0.0, 0.0), ClockSample(100.0, 100.0)]
     record.cpu = [

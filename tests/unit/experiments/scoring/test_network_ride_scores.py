@@ -9,7 +9,7 @@ import pytest
 
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord, TimedPose
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, network_rides
-from hitchhike_ros.protocol.machine import Award
+from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.status import RideStatus, ServoCommand, Status
 from synthetic_ride import CAMERA, DECOUPLING, GAP_M, MARKER, RELEASED, RIDE_M, RIDING, SPEED, synthetic_ride
 

@@ -13,8 +13,8 @@ from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedDenial, Ex
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.experiments.scoring.ride_scores import Score, score, steps
 from hitchhike_ros.experiments.scoring.rides import find_rides
-from hitchhike_ros.protocol.machine import stamped
 from hitchhike_ros.protocol.messages import Deny, encode
+from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.status import Status
 from synthetic_ride import ALIGNING, DECOUPLING, OFFERED, RELEASED, REQUESTED, RIDE_M, RIDING, synthetic_ride
 
@@ -38,7 +38,7 @@ def denied_record(reason: str = "Profile mismatch") -> RideRecord:
     record = synthetic_ride()
     robot = record.robots["turtlebot"]
     robot.statuses = [s for s in robot.statuses if s.state in ("idle", "requesting") or s.role == "none"]
-    deny = stamped(Deny(robot_id="p3dx", to="turtlebot", ride_id="ride", reason=reason), 1, REQUESTED + 1.0)
+    deny = Outbox().stamp(Deny(robot_id="p3dx", to="turtlebot", ride_id="ride", reason=reason), REQUESTED + 1.0)
     record.messages = [TimedText(REQUESTED + 1.0, encode(deny))]
     return record
 

@@ -13,7 +13,7 @@ from hitchhike_ros.core.errors import GoalBlockedError, OutsideMapError, Unreach
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.machine import Send, Tick
+from hitchhike_ros.protocol.events import Send, Tick
 from hitchhike_ros.protocol.messages import Decouple, Message
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.grid.body import Body
@@ -216,7 +216,7 @@ def test_a_goal_that_cannot_be_reached_is_given_up_with_the_reason() -> None:
     robot = w.add_robot("solo", Pose2D(2.0, 2.0), parameters(1), [Errand(Pose2D(70.0, 5.1))])
     w.run(100.0, w.idle)
     assert not robot.trips[0].reached
-    assert "too near to an obstacle" in robot.trips[0].reason
+    assert "too near to an obstacle" in robot.trips[0].reason.detail
 
 
 @pytest.mark.parametrize(("goal", "reached"), [(Pose2D(2.05, 2.0), True), (Pose2D(70.0, 5.1), False)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hitchhike_ros.core.datatypes import Pose2D
-from hitchhike_ros.protocol.machine import GoalGiven, Report
+from hitchhike_ros.protocol.events import GoalGiven, Report
 from hitchhike_ros.simulation.grid.inbox import ObjectInbox
 from hitchhike_ros.simulation.grid.trace import Trace
 
