@@ -9,6 +9,7 @@ import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.core.geometry import compose, distance, path_length, wrap_angle
+from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord, TimedEstimate, TimedPose
 from hitchhike_ros.experiments.scoring.rides import Ride, Window
 
@@ -92,13 +93,9 @@ def distances_from_trail(points: FloatArray, trail: FloatArray) -> FloatArray:
     """Distance in m of each of points (N, 2) from the polyline trail (M, 2), without the points before its start."""
     if len(trail) < 2:
         return np.empty(0)
-    start, along = trail[:-1], np.diff(trail, axis=0)
-    offset = points[:, None, :] - start  # (N, M - 1, 2)
-    fraction = np.einsum("nmk,mk->nm", offset, along) / np.einsum("mk,mk->m", along, along)
-    before = (np.argmin(np.linalg.norm(offset, axis=2), axis=1) == 0) & (fraction[:, 0] < 0.0)
-    nearest = start + np.clip(fraction, 0.0, 1.0)[:, :, None] * along
-    distances = np.linalg.norm(points[:, None, :] - nearest, axis=2).min(axis=1)
-    return distances[~before]
+    arcs, distances = Polyline(trail).project_all(points)
+    behind = (points - trail[0]) @ (trail[1] - trail[0]) < 0.0
+    return distances[(arcs > 0.0) | ~behind]
 
 
 def _mounted(poses: FloatArray, mount: Pose2D) -> FloatArray:
