@@ -1,21 +1,19 @@
-"""usage: rosrun hitchhike_ros draw_machines [--output DIR]
+"""Draws the protocol's two machines from their tables: hitchhiker.dot and driver.dot, and the same as SVG by Graphviz.
 
-Draws the protocol's two machines from their tables: hitchhiker.dot and driver.dot, and the same as SVG by Graphviz
-(Debian package graphviz). Needs no ROS master.
-
-  --output DIR  folder to write to (docs of this package)
+Needs the Debian package graphviz, and no ROS master.
 """
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
+import click
 import rospkg
 
+from hitchhike_ros.commands.command_line import SETTINGS, help_of, run
 from hitchhike_ros.protocol.diagrams import dot
 from hitchhike_ros.protocol.driver.machine import DriverMachine
 from hitchhike_ros.protocol.driver.states import DriverState
@@ -30,11 +28,16 @@ MACHINES: dict[str, tuple[type[Machine[Any]], Any]] = {
 _GRAPHVIZ_S = 60.0
 
 
-def main() -> None:
-    """Entry point of ``rosrun hitchhike_ros draw_machines``."""
-    parser = argparse.ArgumentParser("draw_machines", usage=str(__doc__).removeprefix("usage: "))
-    parser.add_argument("--output", type=Path)
-    folder = parser.parse_args().output or Path(rospkg.RosPack().get_path("hitchhike_ros")) / "docs"
+@click.command("draw_machines", help=help_of(__doc__), context_settings=SETTINGS)
+@click.option(
+    "--output",
+    metavar="DIR",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder to write to.  [default: docs of this package]",
+)
+def command(output: Path | None) -> None:
+    """Write each machine's graph and its picture."""
+    folder = output or Path(rospkg.RosPack().get_path("hitchhike_ros")) / "docs"
     graphviz = shutil.which("dot")
     try:
         for name, (machine, initial) in MACHINES.items():
@@ -43,10 +46,15 @@ def main() -> None:
             print(file)
             if graphviz is not None:
                 picture = file.with_suffix(".svg")
-                command = [graphviz, "-Tsvg", "-o", str(picture), str(file)]
-                subprocess.run(command, check=True, timeout=_GRAPHVIZ_S)
+                arguments = [graphviz, "-Tsvg", "-o", str(picture), str(file)]
+                subprocess.run(arguments, check=True, timeout=_GRAPHVIZ_S)
                 print(picture)
     except (OSError, subprocess.SubprocessError) as exc:
-        parser.error(f"--output {folder}: {exc}")
+        raise click.ClickException(f"--output {folder}: {exc}") from exc
     if graphviz is None:
-        parser.error("no SVG: there is no dot, expected the Debian package graphviz")
+        raise click.ClickException("no SVG: there is no dot, expected the Debian package graphviz")
+
+
+def main() -> None:
+    """Entry point of ``rosrun hitchhike_ros draw_machines``."""
+    run(command)

@@ -1,16 +1,7 @@
-"""usage: rosrun hitchhike_ros experiments NAME... | all [OPTIONS]
+"""Does the papers' experiments and prints the figures beside the papers'.
 
-Does the papers' experiments and prints the figures beside the papers'. Needs no ROS master: rides start their own.
-What needs third-party data (../shared/data beside the package) is left out where that is missing.
-
-  --runs N             so many runs with seeds one after the other (1)
-  --seed N             first seed (0)
-  --report DIR         folder for everything that is left: tables, pictures, report.html, a folder for each ride with
-                       its bag and logs (runs/experiments); rides that ended well there are not driven again
-  --json FILE          write the figures, with versions and seeds, as JSON
-  --quick              only the rides of the quick set, among those that are named
-  --port N             of the ROS master (any free one)
-  --check              the exit status also says whether every bound holds
+Needs no ROS master: rides start their own. What needs third-party data (../shared/data beside the package) is left out
+where that is missing.
 
 Exit status: 0 when everything ended as it should, 1 when not, 2 for wrong usage, 130 after Ctrl-C; what was driven
 until then is kept, and the same command goes on from there.
@@ -18,21 +9,26 @@ until then is kept, and the same command goes on from there.
 
 from __future__ import annotations
 
-import argparse
-import os
-import signal
 import socket
 import sys
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
+import click
 import msgspec
 import rospkg
 
-from hitchhike_ros.commands.launches import interrupt
+from hitchhike_ros.commands.command_line import (
+    SETTINGS,
+    check_option,
+    folder_option,
+    help_of,
+    json_option,
+    run,
+    seed_option,
+)
 from hitchhike_ros.commands.scenario_runs import RECORD, drive
 from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.experiments.bench.registry import EXPERIMENTS, Options, load
@@ -60,80 +56,96 @@ class _Done:
     tables: Sequence[Table] = ()
 
 
-def main() -> NoReturn:
-    """Entry point of ``rosrun hitchhike_ros experiments``."""
-    signal.signal(signal.SIGTERM, interrupt)
-    signal.signal(signal.SIGHUP, interrupt)
-    try:
-        sys.exit(_run())
-    except HitchhikeError as exc:
-        print(f"experiments: {exc}", file=sys.stderr)
-        sys.exit(1)
-    except KeyboardInterrupt:
-        print("\nInterrupted; everything that was started has ended. The same command goes on.", file=sys.stderr)
-        sys.exit(130)
+def command_of(package: Path, scenarios: Mapping[str, RideScenario]) -> click.Command:
+    """The command line, with the names of all experiments."""
+    known = EXPERIMENTS | {name: f"{s.title} ({s.source})" for name, s in scenarios.items()} | {_ALL: "all of them"}
+    width = max(map(len, known)) + 2
+    names_help = "\b\nExperiments:\n" + "\n".join(f"  {name:<{width}}{what}" for name, what in known.items())
 
+    @click.command("experiments", help=help_of(__doc__), epilog=names_help, context_settings=SETTINGS)
+    @click.argument("names", nargs=-1, required=True, type=click.Choice(list(known)), metavar="NAME...")
+    @click.option(
+        "--runs",
+        metavar="N",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
+        help="So many runs with seeds one after the other.",
+    )
+    @seed_option
+    @folder_option(
+        "--report",
+        "--output",
+        default="runs/experiments",
+        text="Folder for everything that is left: tables, pictures, report.html, a folder for each ride with its bag "
+        "and logs. Rides that ended well there are not driven again.",
+    )
+    @json_option
+    @click.option("--quick", is_flag=True, help="Only the rides of the quick set, among those that are named.")
+    @click.option("--port", metavar="N", type=int, callback=_free, help="Of the ROS master.  [default: any free one]")
+    @check_option
+    def command(
+        names: Sequence[str],
+        runs: int,
+        seed: int,
+        output: Path,
+        json_file: Path | None,
+        quick: bool,
+        port: int | None,
+        check: bool,
+    ) -> int:
+        if _ALL in names:
+            names = [*EXPERIMENTS, *scenarios]
+        names = list(dict.fromkeys(names))
+        options = Options(package, package.parent / "shared" / "data", output.resolve(), seed, quick, runs)
+        done = [_compute(name, options) for name in names if name in EXPERIMENTS and not quick]
+        rides = in_order(scenarios[name] for name in names if name in scenarios)
+        results: list[ScenarioResult] = []
+        try:
+            _drive_all(rides, results, options, port)
+        finally:
+            if results:
+                _leave(options.output, results, done)
+        done += [_Done(result.scenario.name, result.figures, result.ok) for result in results]
+        if json_file is not None:
+            _write_json(json_file, options, done)
+        broken = [d.name for d in done if not d.ok or (check and not all_hold(d.figures))]
+        ended = sum(d.ok for d in done)
+        print(f"{ended} of {len(done)} experiments ended as they should; {options.output}", flush=True)
+        if broken:
+            print(f"Not: {', '.join(broken)}", file=sys.stderr)
+        return 1 if broken else 0
 
-def _run() -> int:
-    package = Path(rospkg.RosPack().get_path("hitchhike_ros"))
-    scenarios = load_scenarios(package / "config" / "experiments")
-    arguments = _arguments(package, scenarios)
-    report: Path = arguments.report.resolve()
-    names = [*EXPERIMENTS, *scenarios] if _ALL in arguments.names else list(dict.fromkeys(arguments.names))
-    done = [_grid(name, arguments, package, report) for name in names if name in EXPERIMENTS and not arguments.quick]
-    rides = in_order(scenarios[name] for name in names if name in scenarios)
-    results: list[ScenarioResult] = []
-    try:
-        _drive_all(rides, results, arguments, report, _data(package))
-    finally:
-        if results:
-            _leave(report, results, done)
-    done += [_Done(result.scenario.name, result.figures, result.ok) for result in results]
-    if arguments.json is not None:
-        _write_json(arguments, package, done)
-    broken = [d.name for d in done if not d.ok or (arguments.check and not all_hold(d.figures))]
-    ended = sum(d.ok for d in done)
-    print(f"{ended} of {len(done)} experiments ended as they should; {report}", flush=True)
-    if broken:
-        print(f"Not: {', '.join(broken)}", file=sys.stderr)
-    return 1 if broken else 0
+    return command
 
 
 def _drive_all(
-    rides: Sequence[RideScenario],
-    results: list[ScenarioResult],
-    arguments: argparse.Namespace,
-    report: Path,
-    data: Path,
+    rides: Sequence[RideScenario], results: list[ScenarioResult], options: Options, port: int | None
 ) -> None:
-    seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    seeds = range(options.seed, options.seed + (options.seeds or 1))
     for i, scenario in enumerate(rides):
         where = f"[{i + 1}/{len(rides)}] {scenario.name}: {scenario.title}"
-        if arguments.quick and not scenario.quick:
+        if options.quick and not scenario.quick:
             continue
-        if scenario.needs and not (data / scenario.needs).exists():
-            print(f"{where}: left out, {data / scenario.needs} is missing", flush=True)
+        if scenario.needs and not (options.data / scenario.needs).exists():
+            print(f"{where}: left out, {options.data / scenario.needs} is missing", flush=True)
             continue
         print(where, flush=True)
-        result = drive(scenario, seeds, report, arguments.port, lambda text: print(text, flush=True))
+        result = drive(scenario, seeds, options.output, port, lambda text: print(text, flush=True))
         results.append(result)
+        print(flush=True)
         show(console(), summary_table(result.figures, list(seeds)))
 
 
-def _grid(name: str, arguments: argparse.Namespace, package: Path, report: Path) -> _Done:
-    options = Options(package, _data(package), report, arguments.seed, seeds=arguments.runs)
+def _compute(name: str, options: Options) -> _Done:
+    """An experiment that no robot is driven for."""
     with ProgressBars(console(sys.stderr)) as progress:
         findings = load(name).run(options, progress)
     tables = [*findings.tables, figure_table(findings.figures)]
     console().print(name)
     show(console(), *tables)
-    (report / f"{name}.txt").write_text(text_of(*tables) + "\n", encoding="utf-8")
+    (options.output / f"{name}.txt").write_text(text_of(*tables) + "\n", encoding="utf-8")
     return _Done(name, findings.figures, True, tables)
-
-
-def _data(package: Path) -> Path:
-    """Where third-party data is."""
-    return package.parent / "shared" / "data"
 
 
 def _leave(report: Path, results: Sequence[ScenarioResult], others: Sequence[_Done]) -> None:
@@ -154,62 +166,34 @@ def _ledgers(results: Sequence[ScenarioResult]) -> Iterator[tuple[str, list[Tabl
         yield name, ledger(records[0], records[1])
 
 
-def _write_json(arguments: argparse.Namespace, package: Path, done: Sequence[_Done]) -> None:
+def _write_json(file: Path, options: Options, done: Sequence[_Done]) -> None:
     content = {
-        "versions": versions(package),
-        "seed": arguments.seed,
-        "runs": arguments.runs,
+        "versions": versions(options.package),
+        "seed": options.seed,
+        "runs": options.seeds,
         "ok": {d.name: d.ok for d in done},
         "figures": {d.name: d.figures for d in done},
     }
-    arguments.json.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2))
+    file.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2))
 
 
-def _arguments(package: Path, scenarios: dict[str, RideScenario]) -> argparse.Namespace:
-    """The command line; whatever is wrong with it is said before anything starts."""
-    known = dict(EXPERIMENTS)
-    known |= {name: f"{s.title} ({s.source})" for name, s in scenarios.items()} | {_ALL: "all of them"}
-    width = max(map(len, known))
-    names = "\n".join(f"  {name:<{width}}  {what}" for name, what in known.items())
-    usage = f"{str(__doc__).removeprefix('usage: ')}\nexperiments:\n{names}\n"
-    parser = argparse.ArgumentParser("experiments", usage=usage, add_help=True, allow_abbrev=False)
-    parser.add_argument("names", nargs="+", metavar="NAME")
-    parser.add_argument("--runs", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--report", "--output", type=Path, default=Path("runs/experiments"))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--port", type=int)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--check", action="store_true")
-    arguments = parser.parse_args()
-    # argparse would print the whole usage before its message.
-    trouble = ""
-    unknown = [name for name in arguments.names if name not in known]
-    if unknown:
-        trouble = f"{', '.join(unknown)}: no such experiment, expected some of {', '.join(known)}"
-    elif arguments.runs < 1:
-        trouble = f"--runs {arguments.runs}: expected at least 1"
-    elif arguments.port is not None and _answers(arguments.port):
-        trouble = f"--port {arguments.port}: something listens there, expected a port for a ROS master of its own"
-    else:
-        trouble = _unwritable(arguments.report) or (_unwritable(arguments.json.parent) if arguments.json else "")
-    if trouble:
-        print(f"experiments: {trouble}", file=sys.stderr)
-        sys.exit(2)
-    return arguments
-
-
-def _answers(port: int) -> bool:
+def _free(_context: click.Context, _option: click.Parameter, port: int | None) -> int | None:
+    """The port, where nothing listens on it."""
     with socket.socket() as probe:
         probe.settimeout(1.0)
-        return probe.connect_ex(("localhost", port)) == 0
+        if port is not None and probe.connect_ex(("localhost", port)) == 0:
+            raise click.BadParameter(f"{port}: something listens there, expected a port for a ROS master of its own")
+    return port
 
 
-def _unwritable(folder: Path) -> str:
-    """Why nothing can be written to a folder, which is made where it is missing; or nothing."""
+def main() -> NoReturn:
+    """Entry point of ``rosrun hitchhike_ros experiments``."""
+    package = Path(rospkg.RosPack().get_path("hitchhike_ros"))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return ""
-    except OSError as exc:
-        return f"{folder}: {os.strerror(exc.errno or 0)}, expected a folder that can be written to"
+        scenarios = load_scenarios(package / "config" / "experiments")
+    except HitchhikeError as exc:
+        sys.exit(f"experiments: {exc}")
+    run(
+        command_of(package, scenarios),
+        "Interrupted; everything that was started has ended. The same command goes on.",
+    )

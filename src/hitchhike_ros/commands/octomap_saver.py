@@ -1,50 +1,34 @@
-"""octomap_saver: writes a robot's 3D map to a .bt file, as the octomap_saver of octomap_server does, and ends.
+"""Writes a robot's 3D map to a .bt file, as the octomap_saver of octomap_server does, and ends.
 
-Usage: ``rosrun hitchhike_ros octomap_saver [--timeout S] FILE [octomap_binary:=TOPIC]``
-
-  FILE             to write, e.g. ride.bt; octomap-tools and octovis read it
-  --timeout S      wall time that it waits for a map (60)
-
-Subscribed:
-    octomap_binary (std_msgs/UInt8MultiArray): of mapping_3d
-Published, services, parameters, TF: none.
-
-When no map comes, or it cannot be saved, the node says why and ends with exit status 1.
+It subscribes octomap_binary (std_msgs/UInt8MultiArray) of mapping_3d, which octomap_binary:=TOPIC renames.
+octomap-tools and octovis read FILE. When no map comes, or it cannot be saved, it says why and ends with exit status 1.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
 
+import click
 import rospy
 from std_msgs.msg import UInt8MultiArray
 
-from hitchhike_ros.core.errors import HitchhikeError
+from hitchhike_ros.commands.command_line import SETTINGS, help_of, run
+from hitchhike_ros.commands.next_message import wait_for
 from hitchhike_ros.mapping.octree import save
-from hitchhike_ros.ros_io.node import run
 
 
-class OctomapSaver:
-    """Waits for one map, saves it, and asks for the end."""
-
-    def __init__(self) -> None:
-        parser = argparse.ArgumentParser("octomap_saver", add_help=False)
-        parser.add_argument("file", type=Path)
-        parser.add_argument("--timeout", type=float, default=60.0)
-        arguments = parser.parse_args(rospy.myargv(sys.argv)[1:])
-        topic = rospy.resolve_name("octomap_binary")
-        rospy.loginfo("waiting for a map on %s", topic)
-        try:
-            msg = rospy.wait_for_message("octomap_binary", UInt8MultiArray, arguments.timeout)
-        except rospy.ROSException as exc:
-            raise HitchhikeError(f"no map on {topic} within {arguments.timeout:g} s") from exc
-        voxels = save(bytes(msg.data), arguments.file)
-        rospy.loginfo("%s: %d occupied voxels, %g m", arguments.file, len(voxels.sides), voxels.resolution_m)
-        rospy.signal_shutdown("saved")
+@click.command("octomap_saver", help=help_of(__doc__), context_settings=SETTINGS)
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--timeout", "timeout_s", metavar="S", type=float, default=60.0, show_default=True, help="Wall time to wait."
+)
+def command(file: Path, timeout_s: float) -> None:
+    """Wait for one map and save it."""
+    rospy.init_node("octomap_saver", disable_signals=True)
+    voxels = save(bytes(wait_for("octomap_binary", UInt8MultiArray, "map", timeout_s).data), file)
+    print(f"{file}: {len(voxels.sides)} occupied voxels, {voxels.resolution_m:g} m")
 
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros octomap_saver``."""
-    run("octomap_saver", OctomapSaver)
+    run(command)

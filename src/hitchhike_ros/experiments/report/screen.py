@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TextIO
@@ -93,13 +94,22 @@ class Line:
         yield grid
 
 
+def _lives(console: Console) -> bool:
+    """Whether what was written can be written over."""
+    return console.is_terminal and not console.is_dumb_terminal
+
+
+def passing(console: Console, text: str) -> AbstractContextManager[object]:
+    """A text that stands on a terminal as long as the context lasts; elsewhere nothing."""
+    return console.status(text) if _lives(console) else nullcontext()
+
+
 class LivingLine:
     """One line that is rewritten on a terminal; elsewhere a line at each change. A context that shows it."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        lives = console.is_terminal and not console.is_dumb_terminal
-        self._live = Live(console=console, auto_refresh=False, transient=True) if lives else None
+        self._live = Live(console=console, auto_refresh=False, transient=True) if _lives(console) else None
         self._told = ""
 
     def __enter__(self) -> LivingLine:
@@ -125,12 +135,11 @@ class ProgressBars:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._lives = console.is_terminal and not console.is_dumb_terminal
         self._bars: Progress | None = None
         self._steps: dict[str, int] = {}
 
     def __enter__(self) -> ProgressBars:
-        if self._lives:
+        if _lives(self._console):
             columns = (
                 *(TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn()),
                 TimeRemainingColumn(),
