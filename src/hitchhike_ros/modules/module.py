@@ -174,6 +174,10 @@ class Orders:
         """
         return self._standing or self._status.at(now)
 
+    def get(self, now: float) -> Status | None:
+        """As :meth:`at`; None where that raises."""
+        return self._standing or self._status.get(now)
+
     def expires(self) -> float:
         """When the newest status stops counting, in s; infinity where that never happens or has nothing to end."""
         return math.inf if self._standing is not None else self._status.expires()

@@ -16,9 +16,9 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from nav_msgs.msg import Path
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
-from hitchhike_ros.core.datatypes import Odometry, PoseEstimate, Twist2D
+from hitchhike_ros.core.datatypes import LaserScan, Odometry, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.modules.inputs import (
@@ -30,6 +30,7 @@ from hitchhike_ros.modules.inputs import (
     PlannedPath,
     PlanReport,
     ServoingCommand,
+    TeleopActive,
     TeleopCommand,
 )
 from hitchhike_ros.protocol.events import Award, NavigationReport
@@ -37,6 +38,7 @@ from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import Observations, decode_observations
 from hitchhike_ros.protocol.status import Status, decode_status, encode_status
 from hitchhike_ros.ros_io.conversions import (
+    LaserScanArrayMsg,
     estimate_from_msg,
     estimate_to_msg,
     grid_from_msg,
@@ -45,6 +47,7 @@ from hitchhike_ros.ros_io.conversions import (
     path_from_msg,
     path_to_msg,
     pose_from_msg,
+    scan_from_msg,
     twist_from_msg,
     twist_to_msg,
 )
@@ -128,6 +131,7 @@ INLETS: dict[type, Inlet] = {
         Inlet(Status, "hhike_msg/status", String, lambda msg: decode_status(msg.data), queue_size=10),
         # Sensors; of odometry nothing is left out, as filters add it up.
         Inlet(Odometry, "odom", OdometryMsg, odometry_from_msg, queue_size=50),
+        Inlet(LaserScan, "scan", LaserScanArrayMsg, scan_from_msg),
         # From module to module.
         Inlet(PoseEstimate, "amcl_pose", PoseWithCovarianceStamped, _estimate),
         Inlet(OccupancyGrid, "map", OccupancyGridMsg, grid_from_msg),
@@ -136,6 +140,7 @@ INLETS: dict[type, Inlet] = {
         Inlet(NavigationReport, "navigation/status", String, _json_of(NavigationReport, "navigation/status"), 10),
         Inlet(PlanReport, "path_planning/status", String, _json_of(PlanReport, "path_planning/status"), 10),
         Inlet(Observations, "visual_servoing/observations", String, lambda msg: decode_observations(msg.data), 10),
+        Inlet(TeleopActive, "teleop/active", Bool, lambda msg: TeleopActive(msg.data)),
         Inlet(TeleopCommand, "cmd_vel/teleop", Twist, _twist_of(TeleopCommand)),
         Inlet(ServoingCommand, "cmd_vel/servoing", Twist, _twist_of(ServoingCommand)),
         Inlet(NavigationCommand, "cmd_vel/navigation", Twist, _twist_of(NavigationCommand)),
@@ -188,4 +193,8 @@ HITCHHIKE_COMM = (
 PATH_PLANNING = (
     Outlet("report", "path_planning/status", String, _json, latch=True, queue_size=10),  # before what it tells of
     Outlet("plan", "plan", Path, lambda plan: (path_of(plan),), latch=True),
+)
+OBSTACLE_AVOIDANCE = (
+    Outlet("command", "cmd_vel/navigation", Twist, lambda command: _twists(command.twist)),
+    Outlet("report", "navigation/status", String, _json, latch=True, queue_size=10),
 )

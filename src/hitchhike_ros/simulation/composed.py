@@ -9,18 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.control.local_planner import LocalPlanner
-from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.safety_limiter import SafetyLimiter
-from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
 from hitchhike_ros.core.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
-from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.parameters import load_parameters
 from hitchhike_ros.core.robot_model import RobotLimits, fixed_transforms
@@ -29,8 +25,11 @@ from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.modules.inputs import NO_PATH, NavigationCommand, PlanReport, ServoingCommand, TeleopCommand
-from hitchhike_ros.modules.path_planning import PathPlanning, PathPlanningParameters
+from hitchhike_ros.modules.inputs import PlanReport, ServoingCommand, TeleopCommand
+from hitchhike_ros.modules.module import Module
+from hitchhike_ros.modules.obstacle_avoidance import ObstacleAvoidance
+from hitchhike_ros.modules.path_planning import PathPlanning
+from hitchhike_ros.modules.robot_files import PlainFiles
 from hitchhike_ros.modules.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.agent import Traveller
@@ -102,11 +101,10 @@ class ComposedRobot:
         )
         self.mapper = NewObstacleMapper(grid, load(MappingParameters, "mapping"))
         self._planner = GlobalPlanner(load(GlobalPlannerParameters, "global_planner"), self.limits)
-        self._path_planning = PathPlanning(self._planner, load(PathPlanningParameters, "path_planning"))
-        local_planner = load(LocalPlannerParameters, "obstacle_avoidance")
-        self._local_planner = LocalPlanner(self.limits, local_planner)
-        self._wall_params = load(WallAlignmentParameters, "wall_alignment")
-        self._turns_for = ""
+        urdf = package / "urdf" / f"{entry.model}.urdf"
+        files = PlainFiles(body.name, config, urdf, sites, grid, changes)
+        self._path_planning = PathPlanning.build(files)
+        self._obstacle_avoidance = ObstacleAvoidance.build(files)
         self._mux = VelocityMux(load(VelocityMuxParameters, "velocity_mux"), self.limits)
         self._tracker = MarkerTracker(
             load(MarkerDetectorParameters, "marker_detector"), load(MarkerTrackerParameters, "marker_tracker")
@@ -135,9 +133,8 @@ class ComposedRobot:
         self.awards: list[Award] = []
         self.taken: list[PoseEstimate] = []
         self._map, self._mapped = grid, self.mapper.obstacles
-        self._plan = self._followed = NO_PATH
-        self._plan_report = PlanReport("", "idle")
-        self._report: NavigationReport | None = None
+        self._planning = PlanReport("", "idle")
+        self._navigation = NavigationReport("", "idle")
         self._observations: list[MarkerObservation] = []
         self._seen_from = Pose2D()  # in odom, when the observations were made
         self._image_at = 0.0
@@ -160,6 +157,7 @@ class ComposedRobot:
         """The wheels' reading; localization counts it even while it is off, so that it can start again."""
         self._localizer.predict(odometry)
         self._follow.add_odometry(odometry)
+        _hand(self._obstacle_avoidance, odometry, odometry.stamp)
 
     def sense_scan(self, scan: LaserScan, now: float) -> None:
         """Localize, map and drive by one scan, as far as these are on."""
@@ -171,15 +169,14 @@ class ComposedRobot:
             self.estimate = self._localizer.estimate_at(scan.stamp)
         elif not modules.LZN:
             self.estimate = None
-        if self.estimate is None:
-            return
-        if modules.MAP:
-            self.mapper.update(scan, self.estimate, self._T_base_laser, self._others)
-        self._path_planning.sense(self.map, now)
-        self._path_planning.sense(self.estimate, now)
-        self._plan_path(now)
-        if modules.PP and modules.OBS:
-            self._navigate(scan, now, self.estimate)
+        if self.estimate is not None:
+            if modules.MAP:
+                self.mapper.update(scan, self.estimate, self._T_base_laser, self._others)
+            self._path_planning.sense(self.map, now)  # which a topic would keep for it while it is off
+            for module in (self._path_planning, self._obstacle_avoidance):
+                _hand(module, self.estimate, now)
+        _hand(self._obstacle_avoidance, scan, now)
+        self._navigate(now)
 
     def sense_image(self, now: float, covered: bool = False) -> None:
         """Look for markers, and follow, when servoing is on; ``covered``: something is held before the lens."""
@@ -218,6 +215,7 @@ class ComposedRobot:
     def steer(self, now: float, twist: Twist2D) -> None:
         """Somebody has taken the joystick."""
         self._mux.sense(TeleopCommand(twist), now)
+        _hand(self._obstacle_avoidance, TeleopCommand(twist), now)
 
     def _turn_to(self, servo: ServoCommand | None, now: float) -> ServoCommand | None:
         """A new order begins anew: the trail of another time leads nowhere."""
@@ -240,11 +238,12 @@ class ComposedRobot:
         """Step the protocol with ``event`` or the passing of time, and carry out what it wants."""
         servo = self.status.servo
         seen = [o for o in self._observations if servo is not None and o.marker_id == servo.marker_id]
+        failed, plan = self._planning.state == "failed", self._planning
         situation = Situation(
             self.estimate,
             self.body.odometry().twist.v,
             self.mapper.obstacles,
-            self._report,
+            NavigationReport(plan.goal_id, plan.state, plan.reason) if failed else self._navigation,
             seen[0] if seen else None,
             self._seen_from if seen else None,
             self.body.odometry().pose,
@@ -254,11 +253,9 @@ class ComposedRobot:
             self._carry_out(effect, now, send)
         self.status = self.traveller.status(now)
         self._mux.order(self.status, now)
-        self._path_planning.order(self.status, now)
-        self._plan_path(now)
-        if self.status.goal is None:
-            self._report = None
-            self._local_planner.clear()
+        for module in (self._obstacle_avoidance, self._path_planning):
+            module.order(self.status, now)
+        self._navigate(now)
 
     def drive(self, now: float) -> None:
         """Pass the velocity command on to the wheels."""
@@ -279,40 +276,21 @@ class ComposedRobot:
         elif isinstance(effect, Award):
             self.awards.append(effect)
 
-    def _plan_path(self, now: float) -> None:
-        while self._path_planning.next_due(now) <= now:
-            outputs = self._path_planning.step(now)
-            self._plan = outputs.plan or self._plan
-            self._plan_report = outputs.report or self._plan_report
-
-    def _navigate(self, scan: LaserScan, now: float, estimate: PoseEstimate) -> None:
-        goal = self.status.goal
-        if goal is None:
-            return
-        if goal.along_wall:
-            if self._turns_for != goal.id:
-                own, T_base_laser = estimate.pose, self._T_base_laser
-                try:
-                    line = in_line(own, goal.theta, goal.along_wall, scan, T_base_laser, self._wall_params)
-                except PlanningError as exc:
-                    self._report = NavigationReport(goal.id, "blocked", str(exc))
-                    return
-                self._local_planner.set_path(np.array([(line.x, line.y)]), line, goal.tolerance_m, goal.tolerance_rad)
-                self._turns_for = goal.id
-        elif self._plan.end is None:
-            self._report = NavigationReport(goal.id, self._plan_report.state, self._plan_report.reason)
-            return
-        elif self._plan is not self._followed:
-            self._followed = self._plan
-            self._local_planner.set_path(self._plan.points, goal.pose, goal.tolerance_m, goal.tolerance_rad)
-        twist = self.body.odometry().twist
-        limit = self.status.speed_limit_mps or self.limits.max_speed_mps
-        decision = self._local_planner.step(
-            now, estimate.pose, twist, scan, self._T_base_laser, limit, self.status.carries_rider, self._others
-        )
-        self._report = NavigationReport(goal.id, decision.state, decision.reason)
-        self._path_planning.sense(self._report, now)
-        self._mux.sense(NavigationCommand(decision.twist), now)
+    def _navigate(self, now: float) -> None:
+        """Plan and drive, as far as that is due."""
+        while self._path_planning.next_due(now) <= now or self._obstacle_avoidance.next_due(now) <= now:
+            if self._path_planning.next_due(now) <= now:
+                planned = self._path_planning.step(now)
+                self._planning = planned.report or self._planning
+                if planned.plan is not None:
+                    _hand(self._obstacle_avoidance, planned.plan, now)
+            if self._obstacle_avoidance.next_due(now) <= now:
+                driven = self._obstacle_avoidance.step(now)
+                if driven.command is not None:
+                    self._mux.sense(driven.command, now)
+                if driven.report is not None:
+                    self._navigation = driven.report
+                    _hand(self._path_planning, driven.report, now)
 
 
 @dataclass
@@ -406,6 +384,12 @@ class ComposedRide:
 
     def _broadcast(self, text: str) -> None:
         self.messages.append(text)
+
+
+def _hand(module: Module[Any], x: object, now: float) -> None:
+    """Hand on what arrived, if the module listens to it."""
+    if type(x) in module.listens():
+        module.sense(x, now)
 
 
 def _nowhere(_text: str) -> None:

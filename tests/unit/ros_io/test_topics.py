@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import rospy
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
-from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.core.datatypes import Pose2D, Twist2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.modules.inputs import NO_PATH, PlannedPath, PlanReport
+from hitchhike_ros.modules.inputs import NO_PATH, NavigationCommand, PlannedPath, PlanReport, TeleopActive
 from hitchhike_ros.protocol.events import NavigationReport
 from hitchhike_ros.ros_io.conversions import grid_to_msg
-from hitchhike_ros.ros_io.topics import INLETS, PATH_PLANNING, Outlet
+from hitchhike_ros.ros_io.topics import INLETS, OBSTACLE_AVOIDANCE, PATH_PLANNING, Outlet
 
 
 @pytest.fixture(autouse=True)
@@ -54,6 +54,17 @@ def test_a_lack_of_a_plan_arrives() -> None:
 def test_a_report_arrives() -> None:
     report = PlanReport("7", "failed", "no way")
     assert handed_on(PATH_PLANNING, PlanReport, report) == report
+
+
+def test_what_driving_comes_to_arrives() -> None:
+    command, report = NavigationCommand(Twist2D(0.25, -0.5)), NavigationReport("7", "blocked", "no scan")
+    assert handed_on(OBSTACLE_AVOIDANCE, NavigationCommand, command) == command
+    assert handed_on(OBSTACLE_AVOIDANCE, NavigationReport, report) == report
+
+
+@pytest.mark.parametrize("active", [True, False])
+def test_whether_a_human_has_the_robot_in_hand_arrives(active: bool) -> None:
+    assert INLETS[TeleopActive].convert(Bool(active)) == TeleopActive(active)
 
 
 def test_the_report_of_a_plan_is_published_before_it() -> None:
