@@ -17,7 +17,7 @@ from watch import credits_of_this_run
 from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
-from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, network_rides
+from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, markers_of, network_rides
 from hitchhike_ros.experiments.scoring.ride_figures import (
     MAX_GAP_RMS_M,
     MAX_HANDOVER_DEG,
@@ -69,8 +69,7 @@ class NetworkRideTest(unittest.TestCase):
                 cls.trouble = done.stdout + done.stderr
                 return
             cls.record = load_record(Path(folder) / "record.json")
-        names = {entry.marker: name for name, entry in cls.world.robots.items() if entry.marker is not None}
-        cls.rides = network_rides(cls.record, names)
+        cls.rides = network_rides(cls.record, markers_of(cls.world))
         print(*cls.rides, sep="\n")
         clock = cls.record.clock
         print(f"{clock[-1].stamp - clock[0].stamp:.0f} s in {clock[-1].wall_s - clock[0].wall_s:.0f} s of wall time")

@@ -34,7 +34,7 @@ from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_rec
 from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario
 from hitchhike_ros.experiments.scoring.boxes import match_boxes
 from hitchhike_ros.experiments.scoring.figures import Summary
-from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, network_rides
+from hitchhike_ros.experiments.scoring.network_rides import NetworkRide, markers_of, network_rides
 from hitchhike_ros.experiments.scoring.results import RunResult, ScenarioResult
 from hitchhike_ros.experiments.scoring.ride_figures import MAX_BOX_ERROR_M
 from hitchhike_ros.experiments.scoring.rides import module_changes
@@ -227,7 +227,7 @@ def _shown(run: RunResult) -> _Shown:
     folder = Path(run.folder)
     record = load_record(folder / "record.json")
     world, grid = _world(folder)
-    markers = {e.marker: name for name, e in world.robots.items() if e.marker is not None} if world else {}
+    markers = markers_of(world) if world else {}
     rides = network_rides(record, markers) if markers else []
     axis = time_axis(record)
     tables = [*_box_tables(record, rides, grid), _module_table(record)]

@@ -14,6 +14,7 @@ from hitchhike_ros.core.datatypes import FloatArray
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
 from hitchhike_ros.experiments.scoring.tracks import gap_errors, handover_error, metres_driven
 from hitchhike_ros.protocol.status import Status
+from hitchhike_ros.simulation.world_file import WorldFile
 
 # States of a hitchhiker from the moment that it is coupled until it is on its own again.
 _ON_BOARD = ("riding", "seeking", "locating", "catching_up", "recoupling", "settling", "relocalizing", "parting")
@@ -49,6 +50,11 @@ class NetworkRide:
     handover_m: float | None
     handover_deg: float | None
     handover_sigmas: float | None
+
+
+def markers_of(world: WorldFile) -> dict[int, str]:
+    """Whose back carries which marker."""
+    return {entry.marker: name for name, entry in world.robots.items() if entry.marker is not None}
 
 
 def network_rides(record: RideRecord, markers: Mapping[int, str]) -> list[NetworkRide]:

@@ -11,11 +11,14 @@ from hitchhike_ros.experiments.scenarios.paper import PaperTimes
 from hitchhike_ros.experiments.scenarios.ride_record import Contact, RideRecord, TimedPose, TimedText
 from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedDenial, ExpectedRide, RideScenario
 from hitchhike_ros.experiments.scoring.figures import Figure
-from hitchhike_ros.experiments.scoring.ride_scores import Score, score, steps
+from hitchhike_ros.experiments.scoring.ride_scores import Score, score, score_in, steps
 from hitchhike_ros.experiments.scoring.rides import find_rides
 from hitchhike_ros.protocol.messages import Deny, encode
 from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.status import Status
+from hitchhike_ros.simulation.people import Person
+from hitchhike_ros.simulation.world_file import load_world
+from repository import ROOT
 from synthetic_ride import ALIGNING, DECOUPLING, OFFERED, RELEASED, REQUESTED, RIDE_M, RIDING, synthetic_ride
 
 MARKERS = {0: "p3dx", 1: "turtlebot"}
@@ -136,3 +139,25 @@ def test_two_rides_of_one_robot_are_told_apart_by_their_drivers() -> None:
     two = replace(SCENARIO, rides=(RIDE, ExpectedRide("turtlebot", "p3dx2")))
     names = [f.name for f in judged(two, synthetic_ride()).figures]
     assert {"p3dx_couple", "p3dx2_couple"} <= set(names)
+
+
+def test_the_world_says_whose_markers_where_to_and_how_rides_are_arranged() -> None:
+    world, record = load_world(ROOT / "maps" / "p17_exp1.world.yaml"), synthetic_ride()
+    for name, robot in record.robots.items():
+        goal = world.robots[name].goal
+        if goal is not None:
+            robot.truth.append(TimedPose(100.0, goal.x, goal.y, goal.theta))
+    found = score_in(world, SCENARIO, record)
+    assert figure(found, "goal_error_max").value == 0.0
+    assert figure(found, "wait").value == pytest.approx(OFFERED - REQUESTED)  # by states: at a hitchhiking point
+    afar = {name: replace(entry, hitchhiking={"mode": "network"}) for name, entry in world.robots.items()}
+    assert figure(score_in(replace(world, robots=afar), SCENARIO, record), "wait").value == 0.0  # by places
+
+
+def test_the_gap_has_no_bound_where_people_step_between() -> None:
+    world, record = load_world(ROOT / "maps" / "p17_exp1.world.yaml"), synthetic_ride()
+    person = Person("anna", ((1.0, 1.0), (2.0, 1.0)), 1.0)
+    bounds = [
+        figure(score_in(w, SCENARIO, record), "gap_error_rms").bound for w in (world, replace(world, people=(person,)))
+    ]
+    assert bounds == [0.10, None]
