@@ -51,6 +51,7 @@ class Robot:
         self.camera = CAMERA
         self.truncated = False
         self.broken_odometry = False
+        self._servo = self._ordered_at = None
         self._received = {}
         self._lock = threading.Lock()
         self._publishers = {
@@ -85,6 +86,8 @@ class Robot:
 
     def _feed(self, _event):
         now = rospy.get_time()
+        if self._ordered_at is not None and now - self._ordered_at >= 1.0:  # orders have an age
+            self.order(self._servo)
         if self.odometry:
             x = math.nan if self.broken_odometry else 0.0
             msg = odometry_to_msg(Odometry(now, Pose2D(x, 0.0, 0.0), Twist2D()), "odom", "base_footprint")
@@ -98,6 +101,7 @@ class Robot:
             self._publishers["camera/image_raw"].publish(msg)
 
     def order(self, servo):
+        self._servo, self._ordered_at = servo, rospy.get_time()
         status = Status(rospy.get_time(), self.namespace, modules=ModuleSwitches(VS=servo is not None), servo=servo)
         self._publishers["hhike_msg/status"].publish(String(encode_status(status)))
 

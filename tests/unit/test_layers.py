@@ -54,7 +54,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "nodes/robot": ROS_IO,
     "nodes/sim": (*EXPERIMENTS, "ros_io"),
     "nodes": (),
-    "commands": (*EXPERIMENTS, "ros_io", "nodes/robot"),
+    "commands": (*EXPERIMENTS, "ros_io"),
 }
 COMPILED = {"_grid_search": "planning", "_octree": "mapping", "_visp_tracker": "servoing"}
 """Module: the only room that imports it."""

@@ -17,39 +17,33 @@ import shutil
 import sys
 
 import rospy
-from sensor_msgs.msg import Image
 
-from hitchhike_ros.core.datatypes import MarkerObservation
-from hitchhike_ros.nodes.robot.visual_servoing import VisualServoing
+from hitchhike_ros.modules.module import Outputs
+from hitchhike_ros.modules.visual_servoing import View, VisualServoing, VisualServoingOutputs
+from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
-from hitchhike_ros.servoing.marker_detector import MarkerDetection
+from hitchhike_ros.ros_io.node_files import NodeFiles
+from hitchhike_ros.ros_io.parameters import frame, private_parameters
+from hitchhike_ros.ros_io.topics import visual_servoing_outlets
 from hitchhike_ros.servoing.view_statistics import ViewStatistics, sighting
 
 _LINE_PERIOD_S = 1.0  # where the output is no terminal
 
 
-class CalibrateView(VisualServoing):
-    """The node, which besides tells the terminal of every image."""
+class _Line:
+    """Tells the terminal of every image."""
 
     def __init__(self) -> None:
         self._statistics = ViewStatistics()
         self._said_at = -_LINE_PERIOD_S
-        rospy.set_param("~always_on", True)
-        rospy.set_param("~task", "observe")
-        rospy.on_shutdown(self._finish)
-        super().__init__()
-        print(f"waiting for images on {rospy.resolve_name('camera/image_raw')}", flush=True)
 
-    def _publish(
-        self,
-        image: Image,
-        stamp: float,
-        observations: list[MarkerObservation],
-        target: MarkerDetection | None,
-        unusable: bool,
-    ) -> None:
-        super()._publish(image, stamp, observations, target, unusable)
+    def tell(self, _name: str, outputs: Outputs) -> None:
+        """What a step of the module gave; nothing where no image was looked at."""
+        if not isinstance(outputs, VisualServoingOutputs) or outputs.observations is None:
+            return
+        stamp, target = outputs.observations.stamp, None if outputs.look is None else outputs.look.target
         self._statistics.add(stamp, None if target is None else sighting(target.code.message, target.T_camera_marker))
+        unusable = outputs.view is View.NO_IMAGE
         line = "image cannot be used: see /diagnostics" if unusable else self._statistics.line()
         if sys.stdout.isatty():
             print("\r" + line[: shutil.get_terminal_size().columns - 1], end="\x1b[K", flush=True)
@@ -57,10 +51,25 @@ class CalibrateView(VisualServoing):
             self._said_at = stamp
             print(line, flush=True)
 
-    def _finish(self) -> None:
+    def finish(self) -> None:
+        """Tell of all images."""
         print(("\n" if sys.stdout.isatty() else "") + self._statistics.summary(), flush=True)
+
+
+def build() -> ModuleHost:
+    """The node's host; its parameters are those of the parameter server."""
+    line = _Line()
+    rospy.on_shutdown(line.finish)
+    module = VisualServoing.build(
+        NodeFiles(),
+        follows=False,
+        alone=private_parameters("marker_id", "code_message", "marker_size_m"),
+        where=rospy.get_name(),
+    )
+    print(f"waiting for images on {rospy.resolve_name('camera/image_raw')}", flush=True)
+    return ModuleHost(Single(module), {module.name: visual_servoing_outlets(frame("camera_optical"))}, also=line.tell)
 
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros calibrate_view``."""
-    run("calibrate_view", CalibrateView)
+    run("calibrate_view", build)

@@ -15,11 +15,13 @@ from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D, PoseEstim
 class CameraImage:
     """An image of the camera. It is converted only when a module looks at it.
 
-    ``gray()`` gives uint8 (H, W) and raises SensorDataError where the message is no usable image.
+    ``gray()`` gives uint8 (H, W), C-contiguous, and ``rgb()`` the colours (H, W, 3) for whoever looks on; both raise
+    SensorDataError where the message is no usable image. ``frame_id`` is empty where the camera does not tell it.
     """
 
     stamp: float
     gray: Callable[[], npt.NDArray[np.uint8]]
+    rgb: Callable[[], npt.NDArray[np.uint8]]
     frame_id: str = ""
 
 

@@ -3,7 +3,6 @@ makes of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import msgspec
@@ -32,12 +31,13 @@ class _Observations:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What servoing says of one image.
+    """What servoing says of the image of time ``stamp`` in s; an image without markers is said too.
 
     ``following`` is what it does with the driver: following, coasting, looking, turning or searching; stopped where it
     cannot; nothing while it only observes.
     """
 
+    stamp: float = 0.0
     markers: tuple[MarkerObservation, ...] = ()
     following: str = ""
 
@@ -45,12 +45,13 @@ class Observations:
 _DECODER = msgspec.json.Decoder(_Observations)  # made once, as in status.py
 
 
-def encode_observations(stamp: float, observations: Iterable[MarkerObservation], following: str = "") -> str:
-    """The markers seen in the image of time ``stamp``, as :class:`Observations`; an image without any is said too."""
+def encode_observations(observations: Observations) -> str:
+    """As JSON."""
     markers = tuple(
-        _Marker(o.marker_id, o.pose.x, o.pose.y, o.pose.theta, covariance_rows(o.covariance)) for o in observations
+        _Marker(o.marker_id, o.pose.x, o.pose.y, o.pose.theta, covariance_rows(o.covariance))
+        for o in observations.markers
     )
-    return msgspec.json.encode(_Observations(stamp, markers, following)).decode()
+    return msgspec.json.encode(_Observations(observations.stamp, markers, observations.following)).decode()
 
 
 def decode_observations(text: str) -> Observations:
@@ -63,4 +64,4 @@ def decode_observations(text: str) -> Observations:
         MarkerObservation(seen.stamp, m.marker_id, Pose2D(m.x, m.y, m.theta), np.array(m.covariance))
         for m in seen.markers
     )
-    return Observations(markers, seen.following)
+    return Observations(seen.stamp, markers, seen.following)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import rospy
@@ -176,6 +177,30 @@ def image_from_msg(msg: Image) -> np.ndarray:
     rows = np.frombuffer(msg.data, np.uint8, msg.step * msg.height).reshape(msg.height, msg.step)
     pixels = rows[:, : msg.width * channels]
     return pixels if channels == 1 else pixels.reshape(msg.height, msg.width, channels)
+
+
+def gray_from_msg(msg: Image) -> npt.NDArray[np.uint8]:
+    """An image as grey values, uint8 (H, W), C-contiguous; copied only where it has colours or padded rows.
+
+    Raises:
+        SensorDataError: as :func:`image_from_msg`.
+    """
+    pixels = image_from_msg(msg)
+    if pixels.ndim == 3:
+        pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY if msg.encoding == "rgb8" else cv2.COLOR_BGR2GRAY))
+    return np.ascontiguousarray(pixels)
+
+
+def rgb_from_msg(msg: Image) -> npt.NDArray[np.uint8]:
+    """An image in colours, uint8 (H, W, 3).
+
+    Raises:
+        SensorDataError: as :func:`image_from_msg`.
+    """
+    pixels = image_from_msg(msg)
+    if pixels.ndim == 2:
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB))
+    return pixels if msg.encoding == "rgb8" else np.ascontiguousarray(pixels[..., ::-1])
 
 
 def depth_from_msg(msg: Image) -> npt.NDArray[np.float32]:

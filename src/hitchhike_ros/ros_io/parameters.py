@@ -45,6 +45,11 @@ def node_parameters(cls: type[T], section: str, changes: Mapping[str, object] | 
     return load_parameters(cls, section, given("config", "") or None, overrides)
 
 
+def private_parameters(*names: str) -> dict[str, object]:
+    """Those of these private parameters that are set, by name."""
+    return {name: rospy.get_param(f"~{name}") for name in names if rospy.has_param(f"~{name}")}
+
+
 def path_parameter(name: str) -> Path:
     """The existing file named by parameter ``name``, as of :func:`given`.
 

@@ -8,20 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
 import rospy
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from nav_msgs.msg import Path
-from std_msgs.msg import Bool, String
+from sensor_msgs.msg import CameraInfo as CameraInfoMsg
+from sensor_msgs.msg import Image
+from std_msgs.msg import Bool, Int8, String
 
-from hitchhike_ros.core.datatypes import LaserScan, Odometry, PoseEstimate, Twist2D
+from hitchhike_ros.core.datatypes import CameraInfo, LaserScan, Odometry, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.modules.inputs import (
+    CameraImage,
     FoundObstacles,
     HandedOverObstacles,
     InitialPose,
@@ -33,25 +37,32 @@ from hitchhike_ros.modules.inputs import (
     TeleopActive,
     TeleopCommand,
 )
+from hitchhike_ros.modules.visual_servoing import Look, View
 from hitchhike_ros.protocol.events import Award, NavigationReport
 from hitchhike_ros.protocol.messages import NewObstacles
-from hitchhike_ros.protocol.observations import Observations, decode_observations
+from hitchhike_ros.protocol.observations import Observations, decode_observations, encode_observations
 from hitchhike_ros.protocol.status import Status, decode_status, encode_status
 from hitchhike_ros.ros_io.conversions import (
     LaserScanArrayMsg,
+    camera_info_from_msg,
     estimate_from_msg,
     estimate_to_msg,
+    gray_from_msg,
     grid_from_msg,
     header,
+    image_to_msg,
     odometry_from_msg,
     path_from_msg,
     path_to_msg,
     pose_from_msg,
+    quaternion_from_rotation,
+    rgb_from_msg,
     scan_from_msg,
     twist_from_msg,
     twist_to_msg,
 )
 from hitchhike_ros.ros_io.parameters import network_topic
+from hitchhike_ros.servoing.annotation import annotated
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +131,22 @@ def _planned_path(msg: Path) -> PlannedPath:
 _decode_boxes = _json_of(NewObstacles, "new_obstacles")
 
 
+# Distortion models that OpenCV's coefficients describe; a camera without distortion may name none.
+_LENSES = ("plumb_bob", "rational_polynomial", "")
+
+
+def _camera_info(msg: CameraInfoMsg) -> CameraInfo:
+    if msg.distortion_model not in _LENSES:
+        raise SensorDataError(f"distortion model {msg.distortion_model!r} in it, expected one of {_LENSES}")
+    return camera_info_from_msg(msg)
+
+
+def _camera_image(msg: Image) -> CameraImage:
+    return CameraImage(
+        msg.header.stamp.to_sec(), partial(gray_from_msg, msg), partial(rgb_from_msg, msg), msg.header.frame_id
+    )
+
+
 def _heard(msg: String) -> NetworkText:
     connection = getattr(msg, "_connection_header", None) or {}
     return NetworkText(msg.data, str(connection.get("callerid", "?")))
@@ -132,6 +159,8 @@ INLETS: dict[type, Inlet] = {
         # Sensors; of odometry nothing is left out, as filters add it up.
         Inlet(Odometry, "odom", OdometryMsg, odometry_from_msg, queue_size=50),
         Inlet(LaserScan, "scan", LaserScanArrayMsg, scan_from_msg),
+        Inlet(CameraImage, "camera/image_raw", Image, _camera_image),
+        Inlet(CameraInfo, "camera/camera_info", CameraInfoMsg, _camera_info),
         # From module to module.
         Inlet(PoseEstimate, "amcl_pose", PoseWithCovarianceStamped, _estimate),
         Inlet(OccupancyGrid, "map", OccupancyGridMsg, grid_from_msg),
@@ -180,6 +209,52 @@ def path_of(path: PlannedPath) -> Path:
     """As a message of now, in ``map``; one without poses where there is no path."""
     now = rospy.get_time()
     return Path(header=header(now, "map")) if path.end is None else path_to_msg(path.points, path.end, now)
+
+
+def _states(view: View) -> Iterable[Int8]:
+    yield Int8(int(view))
+
+
+def _codes(look: Look) -> Iterable[String]:
+    return () if look.target is None else _texts([look.target.code.message])
+
+
+def _marker_poses(look: Look, camera_frame: str) -> Iterable[PoseWithCovarianceStamped]:
+    if look.target is None:
+        return
+    T = look.target.T_camera_marker
+    msg = PoseWithCovarianceStamped(header=header(look.image.stamp, look.image.frame_id or camera_frame))
+    msg.pose.pose = Pose(Point(*T[:3, 3].tolist()), quaternion_from_rotation(T[:3, :3]))
+    msg.pose.covariance = look.target.covariance.ravel().tolist()
+    yield msg
+
+
+def _annotated(look: Look) -> Iterable[Image]:
+    picture = annotated(look.image.rgb(), look.target, look.markers, carried=look.carried)
+    yield image_to_msg(picture, look.image.stamp, look.image.frame_id, "rgb8")
+
+
+def visual_servoing_outlets(camera_frame: str) -> tuple[Outlet, ...]:
+    """What visual_servoing says; ``camera_frame`` is for images that name none."""
+
+    def poses(look: Look) -> Iterable[PoseStamped]:
+        return (PoseStamped(msg.header, msg.pose.pose) for msg in _marker_poses(look, camera_frame))
+
+    own = "visual_servoing/"
+    return (
+        Outlet("command", "cmd_vel/servoing", Twist, lambda command: _twists(command.twist)),
+        Outlet("observations", own + "observations", String, lambda said: _texts([encode_observations(said)])),
+        Outlet("look", own + "object_position", PoseStamped, poses),
+        Outlet(
+            "look",
+            own + "object_position_covariance",
+            PoseWithCovarianceStamped,
+            lambda look: _marker_poses(look, camera_frame),
+        ),
+        Outlet("view", own + "status", Int8, _states),
+        Outlet("look", own + "code_message", String, _codes),
+        Outlet("look", own + "image_annotated", Image, _annotated),
+    )
 
 
 VELOCITY_MUX = (Outlet("twist", "cmd_vel", Twist, _twists),)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.control.safety_limiter import SafetyLimiter
 from hitchhike_ros.core.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.parameters import load_parameters
@@ -25,12 +25,13 @@ from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.modules.inputs import PlanReport, ServoingCommand, TeleopCommand
+from hitchhike_ros.modules.inputs import CameraImage, PlanReport, TeleopCommand
 from hitchhike_ros.modules.module import Module
 from hitchhike_ros.modules.obstacle_avoidance import ObstacleAvoidance
 from hitchhike_ros.modules.path_planning import PathPlanning
 from hitchhike_ros.modules.robot_files import PlainFiles
 from hitchhike_ros.modules.velocity_mux import VelocityMux, VelocityMuxParameters
+from hitchhike_ros.modules.visual_servoing import VisualServoing
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.agent import Traveller
 from hitchhike_ros.protocol.events import (
@@ -48,11 +49,7 @@ from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.messages import encode
 from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.protocol.status import ServoCommand, Status
-from hitchhike_ros.servoing.follow import FollowLaw
-from hitchhike_ros.servoing.follow_parameters import FollowParameters
-from hitchhike_ros.servoing.marker_detector import MarkerDetectorParameters, planar_observation
-from hitchhike_ros.servoing.marker_tracker import MarkerTracker, MarkerTrackerParameters
+from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.simulation.faults import Fault, FaultKind
 from hitchhike_ros.simulation.physics.robot import SimulatedRobot
 from hitchhike_ros.simulation.physics.world import World
@@ -60,8 +57,6 @@ from hitchhike_ros.simulation.world_file import RobotEntry
 
 FRAME_RATE_HZ = 10
 ODOMETRY_PER_FRAME = 2
-# Without an image for longer than this the node visual_servoing stands.
-_IMAGE_TIMEOUT_S = 0.3
 # Grey value of an image in which something is held before the lens.
 _COVERED_GRAY = 90
 
@@ -93,7 +88,6 @@ class ComposedRobot:
         self.name, self.body = body.name, body
         self.limits = load(RobotLimits, "robot")
         self._T_base_laser = pose_from_matrix(mounts["laser"])
-        self._T_base_camera = mounts["camera_optical"]
         self._grid = grid
         localization = load(LocalizerParameters, "localization")
         self._localizer: Localizer = make_localizer(
@@ -106,12 +100,8 @@ class ComposedRobot:
         self._path_planning = PathPlanning.build(files)
         self._obstacle_avoidance = ObstacleAvoidance.build(files)
         self._mux = VelocityMux(load(VelocityMuxParameters, "velocity_mux"), self.limits)
-        self._tracker = MarkerTracker(
-            load(MarkerDetectorParameters, "marker_detector"), load(MarkerTrackerParameters, "marker_tracker")
-        )
+        self._servoing = VisualServoing.build(files)
         camera = pose_from_matrix(mounts["camera"])
-        self._follow = FollowLaw(load(FollowParameters, "follow"), self.limits, camera.x)
-        self._limiter = SafetyLimiter(self.limits, self._T_base_laser)
         # Robots of one model share its file, but not the rear marker.
         own: dict[str, object] = {} if entry.marker is None else {"marker_id": entry.marker}
         own = {**own, **entry.hitchhiking, **changes.get("hitchhiking", {})}
@@ -128,17 +118,16 @@ class ComposedRobot:
         self.inbox = Inbox(self.name)
         self.status: Status = self.traveller.status(0.0)
         self.estimate: PoseEstimate | None = None
-        self.following = "stopped"
+        self.following = ""
         """What the law behind the marker said last."""
         self.awards: list[Award] = []
         self.taken: list[PoseEstimate] = []
         self._map, self._mapped = grid, self.mapper.obstacles
         self._planning = PlanReport("", "idle")
         self._navigation = NavigationReport("", "idle")
-        self._observations: list[MarkerObservation] = []
+        self._observations: tuple[MarkerObservation, ...] = ()
+        self._unheard: tuple[MarkerObservation, ...] = ()  # by localization
         self._seen_from = Pose2D()  # in odom, when the observations were made
-        self._image_at = 0.0
-        self._servo: ServoCommand | None = None
         self._outbox = Outbox()
 
     @property
@@ -156,19 +145,20 @@ class ComposedRobot:
     def sense_odometry(self, odometry: Odometry) -> None:
         """The wheels' reading; localization counts it even while it is off, so that it can start again."""
         self._localizer.predict(odometry)
-        self._follow.add_odometry(odometry)
-        _hand(self._obstacle_avoidance, odometry, odometry.stamp)
+        for module in (self._servoing, self._obstacle_avoidance):
+            _hand(module, odometry, odometry.stamp)
 
     def sense_scan(self, scan: LaserScan, now: float) -> None:
         """Localize, map and drive by one scan, as far as these are on."""
-        self._limiter.see(scan)
+        _hand(self._servoing, scan, now)
         modules = self.status.modules
         if modules.LZN and self._localizer.initialised:
             self._localizer.update_scan(scan)
-            self._localizer.update_markers(self._observations)
+            self._localizer.update_markers(self._unheard)
             self.estimate = self._localizer.estimate_at(scan.stamp)
         elif not modules.LZN:
             self.estimate = None
+        self._unheard = ()
         if self.estimate is not None:
             if modules.MAP:
                 self.mapper.update(scan, self.estimate, self._T_base_laser, self._others)
@@ -180,53 +170,25 @@ class ComposedRobot:
 
     def sense_image(self, now: float, covered: bool = False) -> None:
         """Look for markers, and follow, when servoing is on; ``covered``: something is held before the lens."""
-        servo = self._turn_to(self.status.servo, now)
-        self._observations, self._seen_from = [], self.body.odometry().pose
-        self._image_at = now
-        if servo is None:
-            return
-        sizes = {servo.marker_id: servo.marker_size_m}
-        if servo.task != "follow":  # every marker says where the robot is
-            self._tracker.reset()
-        found = self._tracker.see(
-            self._gray(covered),
-            self.body.camera_info,
-            self._T_base_camera,
-            now,
-            heading=self._seen_from.theta,
-            target=servo.marker_id,
-            sizes_m=sizes,
-        )
-        self._observations = [planar_observation(d, self._T_base_camera, now) for d in found]
-        if servo.task == "follow":
-            seen = next((o for o in self._observations if o.marker_id == servo.marker_id), None)
-            decision = self._follow.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
-            twist, _ = self._limiter.limit(now, decision.twist)
-            self.following = decision.state
-            self._mux.sense(ServoingCommand(twist), now)
+        gray, rgb = partial(self._gray, covered), self.body.camera
+        _hand(self._servoing, self.body.camera_info, now)
+        _hand(self._servoing, CameraImage(now, gray, rgb), now)
+        self.servo(now)
 
-    def miss_image(self, now: float) -> None:
-        """No image has come; a robot that follows stands when that lasts."""
-        servo = self._turn_to(self.status.servo, now)
-        if servo is not None and servo.task == "follow" and now - self._image_at > _IMAGE_TIMEOUT_S:
-            self.following = "stopped"
-            self._mux.sense(ServoingCommand(Twist2D()), now)
+    def servo(self, now: float) -> None:
+        """Step servoing while it is due, as it is when no image comes."""
+        while self._servoing.next_due(now) <= now:
+            outputs = self._servoing.step(now)
+            if outputs.command is not None:
+                self._mux.sense(outputs.command, now)
+            if outputs.observations is not None:
+                self._observations = self._unheard = outputs.observations.markers
+                self._seen_from, self.following = self.body.odometry().pose, outputs.observations.following
 
     def steer(self, now: float, twist: Twist2D) -> None:
         """Somebody has taken the joystick."""
         self._mux.sense(TeleopCommand(twist), now)
         _hand(self._obstacle_avoidance, TeleopCommand(twist), now)
-
-    def _turn_to(self, servo: ServoCommand | None, now: float) -> ServoCommand | None:
-        """A new order begins anew: the trail of another time leads nowhere."""
-        before, self._servo = self._servo, servo
-        followed = None if before is None else (before.task, before.marker_id)
-        if servo is None or (servo.task, servo.marker_id) != followed:
-            self._follow.reset()
-            self._tracker.reset()
-            if before is not None and before.task == "follow":
-                self._mux.sense(ServoingCommand(Twist2D()), now)
-        return servo
 
     def _gray(self, covered: bool) -> npt.NDArray[np.uint8]:
         info = self.body.camera_info
@@ -253,8 +215,9 @@ class ComposedRobot:
             self._carry_out(effect, now, send)
         self.status = self.traveller.status(now)
         self._mux.order(self.status, now)
-        for module in (self._obstacle_avoidance, self._path_planning):
+        for module in (self._obstacle_avoidance, self._path_planning, self._servoing):
             module.order(self.status, now)
+        self.servo(now)
         self._navigate(now)
 
     def drive(self, now: float) -> None:
@@ -347,7 +310,7 @@ class ComposedRide:
             if self._fault(robot, "camera_silent") is None:
                 robot.sense_image(now, self._fault(robot, "camera_covered") is not None)
             else:
-                robot.miss_image(now)
+                robot.servo(now)
             robot.sense_scan(robot.body.scan(), now)
             if (steered := self._fault(robot, "steered")) is not None:
                 robot.steer(now, steered.twist or Twist2D())

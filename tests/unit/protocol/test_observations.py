@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.core.datatypes import MarkerObservation, Pose2D
 from hitchhike_ros.core.errors import MessageError
-from hitchhike_ros.protocol.observations import decode_observations, encode_observations
+from hitchhike_ros.protocol.observations import Observations, decode_observations, encode_observations
 
 NUMBERS = st.floats(-50.0, 50.0)
 
@@ -19,8 +19,8 @@ NUMBERS = st.floats(-50.0, 50.0)
 )
 def test_what_is_told_is_what_is_heard(markers, following):
     told = [MarkerObservation(2.5, k, Pose2D(x, y, theta), np.diag([x * x, 1.0, 2.0])) for k, x, y, theta in markers]
-    heard = decode_observations(encode_observations(2.5, told, following))
-    assert heard.following == following
+    heard = decode_observations(encode_observations(Observations(2.5, tuple(told), following)))
+    assert (heard.stamp, heard.following) == (2.5, following)
     assert [(o.stamp, o.marker_id, o.pose) for o in heard.markers] == [(o.stamp, o.marker_id, o.pose) for o in told]
     for one, other in zip(heard.markers, told, strict=True):
         np.testing.assert_array_equal(one.covariance, other.covariance)
