@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -52,14 +52,12 @@ def drive(
         HitchhikeError: the scenario's world cannot be used.
     """
     package = Path(rospkg.RosPack().get_path("hitchhike_ros"))
-    found = importlib.util.find_spec("hitchhike_ros")
-    code = [Path(folder) for folder in found.submodule_search_locations or ()] if found is not None else []
     runs = []
     for seed in seeds:
         folder = output / scenario.name / f"seed-{seed}"
         folder.mkdir(parents=True, exist_ok=True)
         world = load_world(scenario.write_world(folder))
-        digest = run_digest(scenario, world, package, code, versions(package))
+        digest = run_digest(scenario, world, package, code_folders(), versions(package))
         result = _kept(folder, digest)
         if result is None:
             result = _drive_one(scenario, world, seed, folder, port)
@@ -73,6 +71,11 @@ def drive(
             result = replace(result, figures=(*result.figures, *beside))
         runs.append(result)
     return ScenarioResult(scenario, tuple(runs))
+
+
+def code_folders() -> list[Path]:
+    """Where the modules of this package are: in the devel space the compiled ones are apart from the others."""
+    return [Path(folder) for folder in importlib.import_module("hitchhike_ros").__path__]
 
 
 def _drive_one(scenario: RideScenario, world: WorldFile, seed: int, folder: Path, port: int | None) -> RunResult:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hitchhike_ros.commands import scenario_runs
-from hitchhike_ros.commands.scenario_runs import drive
+from hitchhike_ros.commands.scenario_runs import code_folders, drive
 from hitchhike_ros.core.errors import InputFileError
 from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedRide, RideScenario
 from hitchhike_ros.experiments.scoring.figures import Figure
@@ -103,3 +103,8 @@ def test_what_a_ride_saves_is_told_anew_each_time(
     assert [result.runs[0].figures[1].value for result in results] == [1.0, 2.0]
     assert asked == [(tmp_path / "ride" / "seed-0", tmp_path / "alone" / "seed-0")] * 2
     assert driver.driven == [0]
+
+
+def test_modules_and_compiled_modules_are_among_the_code() -> None:
+    names = {path.name.partition(".")[0] for folder in code_folders() for path in folder.rglob("*")}
+    assert {"scenario_runs", "local_planner", "_grid_search", "_visp_tracker", "_octree"} <= names
