@@ -445,6 +445,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     if args.sample < 1 or args.jobs < 1:
         parser.error("--sample and --jobs are at least 1")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # ends the tests that run, too
     try:
         return run(args)
     except MutantsError as error:
