@@ -3,7 +3,6 @@
 
 import subprocess
 import sys
-import time
 import unittest
 from collections.abc import Callable
 from pathlib import Path
@@ -46,13 +45,14 @@ class NetworkModelTest(unittest.TestCase):
 
     def until(self, condition: Callable[[], Any], what: str, ticking: bool = True) -> Any:
         """The first true value of ``condition``, while the clock goes on or stands."""
-        end = time.monotonic() + DEADLINE_S
-        while not (value := condition()):
-            self.assertLess(time.monotonic(), end, what)
-            if ticking:
+
+        def told() -> Any:
+            value = condition()
+            if ticking and not value:
                 self.go_to(self.now + STEP_S)
-            time.sleep(0.02)
-        return value
+            return value
+
+        return self.watch.until(told, DEADLINE_S, what, every_s=0.02)
 
     def network(self, name: str, robots: str, **params: object) -> None:
         """Start a network; ``heard`` has what its robots hear, with the time on the clock, ``say`` speaks for them."""

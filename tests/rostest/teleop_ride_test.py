@@ -3,7 +3,6 @@
 
 import json
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,17 @@ from std_msgs.msg import Bool
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import network_ride_test
 from network_ride_test import DRIVER, RIDER
+from watch import Watch
 
 COUNTED_S = 30
 # P18 Exp. 1: the ride that is teleoperated too.
 RIDE_M = 28.8
 RIDE_SPEED_MPS = 0.5
+
+
+def _whole(path: Path) -> bool:
+    """Whether a JSON file has been written to its end."""
+    return path.exists() and path.read_text(encoding="utf-8").endswith("}\n")
 
 
 class TeleopRideTest(network_ride_test.NetworkRideTest):
@@ -39,11 +44,11 @@ class TeleopRideTest(network_ride_test.NetworkRideTest):
         ]
         subscribers.append(rospy.Subscriber(f"/{DRIVER}/teleop/active", Bool, lambda msg: in_hand.append(msg.data)))
         super().setUpClass()
-        end = time.monotonic() + COUNTED_S
-        while not cls.trouble and not (path.exists() and path.read_text(encoding="utf-8").endswith("}\n")):
-            if time.monotonic() > end:
-                cls.trouble = "the operator has not counted"
-            time.sleep(0.1)
+        if not cls.trouble:
+            try:
+                Watch().until(lambda: _whole(path), COUNTED_S, "the operator has counted", every_s=0.1)
+            except AssertionError as error:
+                cls.trouble = str(error)
         if not cls.trouble:
             cls.counts = json.loads(path.read_text(encoding="utf-8"))
             cls.in_hand = in_hand

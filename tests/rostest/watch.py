@@ -51,15 +51,19 @@ class Watch:
 
         self._subscribers.append(rospy.Subscriber(topic, cls, receive, queue_size=100, tcp_nodelay=True))
 
-    def until(self, condition: Callable[[], Any], deadline_s: float, what: str) -> Any:
-        """The first true value of ``condition``; AssertionError naming ``what`` after ``deadline_s`` of wall time."""
+    def until(self, condition: Callable[[], Any], deadline_s: float, what: str, every_s: float = 1.0) -> Any:
+        """The first true value of ``condition``; AssertionError naming ``what`` after ``deadline_s`` of wall time.
+
+        The condition is asked at every message, and after ``every_s`` without one, which a condition needs that looks
+        at something else than messages or that does something to come true.
+        """
         end = time.monotonic() + deadline_s
         with self._changed:
             while not (value := condition()):
                 left = end - time.monotonic()
                 if left <= 0.0 or rospy.is_shutdown():
                     raise AssertionError(f"{what}: not within {deadline_s:.0f} s of wall time; {self.summary()}")
-                self._changed.wait(min(left, 1.0))
+                self._changed.wait(min(left, every_s))
             return value
 
     def state(self, robot: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import threading
-import time
 from functools import partial
 
 import numpy as np
@@ -152,25 +151,24 @@ def test_the_same_grid_gives_the_same_path():
 def test_other_threads_run_during_a_search():
     cost = np.ones((1500, 1500), dtype=np.float32)
     cost[0, 0:-1] = np.inf
-    ticks, stop = [0], threading.Event()
+    begun, ran = threading.Event(), []
 
-    def tick() -> None:
-        while not stop.is_set():
-            ticks[0] += 1
-            time.sleep(0)  # lets the other thread have the interpreter
+    def run() -> None:
+        begun.wait(60.0)
+        ran.append(True)
 
-    ticker, interval = threading.Thread(target=tick), sys.getswitchinterval()
+    thread, interval = threading.Thread(target=run), sys.getswitchinterval()
     sys.setswitchinterval(60.0)  # so this thread loses the interpreter only where it gives it up
-    ticker.start()
+    thread.start()
     try:
-        before = ticks[0]
+        begun.set()
+        before = list(ran)
         search(cost, (1499, 0), (0, 1499))
-        during = ticks[0] - before
+        after = list(ran)
     finally:
-        stop.set()
         sys.setswitchinterval(interval)
-        ticker.join(timeout=10.0)
-    assert during > 0
+        thread.join(timeout=10.0)
+    assert (before, after) == ([], [True])
 
 
 @pytest.mark.parametrize("name", ["arena", "32room_000", "lak303d"])
