@@ -24,6 +24,10 @@ class Phase(Enum):
     PARTING = "parting"
 
 
+ON_BOARD = (Phase.COUPLED, Phase.RETURNING, Phase.HANDING_OVER, Phase.PARTING)
+"""Of a hitchhiker from the moment that it is coupled until it is on its own again."""
+
+
 class RoleState(Enum):
     """A state of one role; members are declared with their name on the wire and their phase.
 

@@ -11,6 +11,9 @@ import msgspec
 
 from hitchhike_ros.core.datatypes import NonNegative, Pose2D, Positive, Side, TeleopMode
 from hitchhike_ros.core.errors import MessageError
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
+from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.protocol.reasons import Ending
 
 
@@ -81,6 +84,10 @@ class RideStatus:
     ridden_m: NonNegative = 0.0
 
 
+_PHASES: dict[str, Phase] = {state.value: state.phase for state in (*DriverState, *HitchhikerState)}
+_RIDES = (Phase.COUPLED, Phase.RETURNING, Phase.HANDING_OVER)
+
+
 @dataclass(frozen=True)
 class Status:
     """The whole of ``hhike_msg/status``."""
@@ -89,6 +96,7 @@ class Status:
     robot_id: str
     role: str = "none"
     state: str = "idle"
+    phase: Phase = field(init=False, default=Phase.ALONE)  # of the state
     reason: str = ""
     modules: ModuleSwitches = field(default_factory=ModuleSwitches)
     goal: GoalCommand | None = None
@@ -99,6 +107,16 @@ class Status:
     convoy: tuple[str, ...] = ()  # who rides with this robot, in the order of their places
     robots: tuple[KnownRobot, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Look the phase up.
+
+        Raises:
+            ValueError: there is no such state.
+        """
+        if self.state not in _PHASES:
+            raise ValueError(f"state is {self.state!r}, expected one of {', '.join(_PHASES)}")
+        object.__setattr__(self, "phase", _PHASES[self.state])
+
     @property
     def ending(self) -> Ending:
         """Why the robot is in its state."""
@@ -107,25 +125,23 @@ class Status:
     @property
     def carries_rider(self) -> bool:
         """Whether the robot drives with a hitchhiker coupled behind it, and so drives gently."""
-        return self.role == "driver" and self.state in CARRYING_STATES
+        return self.role == "driver" and self.phase is Phase.COUPLED
 
     @property
     def rides(self) -> bool:
         """Whether the robot is coupled to its driver, or was and wants to be again."""
-        return self.role == "hitchhiker" and self.state in RIDING_STATES
+        return self.role == "hitchhiker" and self.phase in _RIDES
 
     @property
     def teleop_mode(self) -> TeleopMode:
-        """What a human who teleoperates the robot may do to it now."""
-        if self.goal is not None and self.state in GUIDED_STATES and self.role != "hitchhiker":
+        """What a human who teleoperates the robot may do to it now.
+
+        A driver is guided on its way, alone or with its riders. Where it aligns it drives by itself, elsewhere it
+        stands.
+        """
+        if self.goal is not None and self.phase in (Phase.ALONE, Phase.COUPLED) and self.role != "hitchhiker":
             return "guided"
         return "free" if self.goal is None and self.role == "none" and self.state == "idle" else "off"
-
-
-RIDING_STATES = frozenset({"riding", "seeking", "locating", "catching_up", "recoupling", "settling"})
-CARRYING_STATES = frozenset({"driving", "waiting_for_rider"})
-# A driver that is on its way, alone or with its riders. Where it aligns it drives by itself, elsewhere it stands.
-GUIDED_STATES = frozenset({"navigating", "driving"})
 
 
 # Made once: msgspec crashes when two threads ask for the decoder of a type at the same time for the first time.
