@@ -17,7 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 
 from hitchhike_ros.mapping.grid import FREE
-from hitchhike_ros.simulation.grid.robot import COUPLED_STATES, QUIET_STATES, GridRobot
+from hitchhike_ros.protocol.phase import Phase
+from hitchhike_ros.simulation.grid.robot import GridRobot
 from hitchhike_ros.simulation.grid.world import GridWorld
 
 # Told apart by the colour-blind too (Okabe and Ito).
@@ -69,7 +70,7 @@ def frame(world: GridWorld) -> Frame:
     glyphs = []
     for robot in robots:
         body = robot.body
-        leader = at[id(body.leader)] if body.leader is not None and robot.status.state in COUPLED_STATES else None
+        leader = at[id(body.leader)] if body.leader is not None and robot.coupled else None
         path = tuple(body.path) if few and body.leader is None and body.speed_mps > 0.0 else ()
         glyphs.append(Glyph(robot.name, body.x, body.y, body.theta, _kind(robot), leader, path))
     return Frame(world.now, tuple(glyphs))
@@ -118,9 +119,9 @@ def _kind(robot: GridRobot) -> str:
         return "idle"
     if status.role == "driver":
         return "driver"
-    if status.state in QUIET_STATES:
+    if status.phase is Phase.ALONE:
         return "alone"
-    return "rider" if status.state in COUPLED_STATES else "seeker"
+    return "rider" if robot.coupled else "seeker"
 
 
 def _canvas(world: GridWorld) -> tuple[Figure, Axes]:

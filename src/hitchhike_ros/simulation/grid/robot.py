@@ -12,18 +12,17 @@ from hitchhike_ros.protocol.events import Award, Report
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.protocol.reasons import NONE, Ending, Reason
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.simulation.grid.body import Body
 from hitchhike_ros.simulation.grid.inbox import ObjectInbox
 from hitchhike_ros.simulation.grid.paths import Known
 
-# A robot in one of these states drives or stands by itself, and nothing happens that no event tells of.
-QUIET_STATES = frozenset({"idle", "navigating"})
-# States of a rider whose metres are ridden.
-COUPLED_STATES = frozenset({"riding", "seeking", "settling"})
-# States of a robot that looks for a ride, and goes to where the ride begins.
-ASKING_STATES = frozenset({"requesting", "locking", "awaiting_aligned", "coupling"})
+# A hitchhiker's metres are ridden in these phases.
+_RIDDEN = (Phase.COUPLED, Phase.HANDING_OVER)
+# In these it looks for a ride, and goes to where the ride begins.
+_BEFORE_RIDE = (Phase.ASKING, Phase.MEETING, Phase.COUPLING)
 
 
 @dataclass(frozen=True)
@@ -112,6 +111,11 @@ class GridRobot:
         """Whether nothing is asked of it any more."""
         return self.trip is None and not self.errands
 
+    @property
+    def coupled(self) -> bool:
+        """Whether it rides, with its own modules off."""
+        return self.status.role == "hitchhiker" and self.status.phase in _RIDDEN
+
     def take_status(self, status: Status, now: float) -> None:
         """Its status has become this one."""
         before = self.status
@@ -119,20 +123,20 @@ class GridRobot:
             self.account(now)
             self.history.append((now, status.state, status.reason))
         self.status = status
-        quiet = status.state in QUIET_STATES and status.role == "none"
+        quiet = status.phase is Phase.ALONE  # nothing happens that no event tells of
         if self.engaged and quiet:
             self.lingers_until = now + self.params.confirm_timeout_s + self.params.repeat_period_s
         self.engaged = not quiet
 
     def account(self, now: float) -> None:
         """Credit time and metres since the last change of state to the state that ends."""
-        state = self.status.state
+        status = self.status
         passed, metres = now - self.since, self.body.odometer_m - self.metres_at
-        self.state_s[state] += passed
-        if state in COUPLED_STATES:
+        self.state_s[status.state] += passed
+        if self.coupled:
             self.ridden_m += metres
             self.coupled_s += passed
-        elif state in ASKING_STATES:
+        elif status.role == "hitchhiker" and status.phase in _BEFORE_RIDE:
             self.asked_s += passed
         self.since, self.metres_at = now, self.body.odometer_m
 
