@@ -13,11 +13,10 @@ import numpy as np
 from hitchhike_ros.core.datatypes import FloatArray
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
 from hitchhike_ros.experiments.scoring.tracks import gap_errors, handover_error, metres_driven
+from hitchhike_ros.protocol.phase import ON_BOARD, Phase
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.simulation.world_file import WorldFile
 
-# States of a hitchhiker from the moment that it is coupled until it is on its own again.
-_ON_BOARD = ("riding", "seeking", "locating", "catching_up", "recoupling", "settling", "relocalizing", "parting")
 # Less than a second after it pulls away a driver is not yet followed at the ordered distance (chosen).
 _PULL_AWAY_S = 1.0
 
@@ -77,7 +76,7 @@ def _score(record: RideRecord, hitchhiker: str, riding: int, markers: Mapping[in
     assert ride is not None
     driver, begin = record.robots[ride.driver], on_board[0].time_stamp
     released = next((s.time_stamp for s in robot.statuses[riding + len(on_board) :]), None)
-    settled = next((s.time_stamp for s in on_board if s.state == "settling"), None)
+    settled = next((s.time_stamp for s in on_board if s.phase is Phase.HANDING_OVER), None)
     own = (s.time_stamp for s in robot.statuses if s.ride is not None and s.ride.ride_id == ride.ride_id)
     end = settled if settled is not None else released
     gaps = _gaps(record, robot, driver, on_board, end, markers)
@@ -107,7 +106,7 @@ def _on_board(statuses: Sequence[Status]) -> Iterator[Status]:
     ride = statuses[0].ride
     for status in statuses:
         same = status.ride is None or ride is None or status.ride.ride_id == ride.ride_id
-        if status.role != "hitchhiker" or status.state not in _ON_BOARD or not same:
+        if status.role != "hitchhiker" or status.phase not in ON_BOARD or not same:
             return
         yield status
 
@@ -151,12 +150,12 @@ def _stood(statuses: Sequence[Status], riding_at: float) -> float | None:
     """
     stood, aligned = None, None
     for status in statuses:
-        if status.state == "aligned" and aligned is None:
+        if status.phase is Phase.COUPLING and aligned is None:
             if status.time_stamp >= riding_at:
                 return stood
             stood, aligned = None, status.time_stamp
         elif status.state == "driving" and aligned is not None:
             stood, aligned = status.time_stamp - aligned, None
-        elif status.state != "aligned":
+        elif status.phase is not Phase.COUPLING:
             aligned = None
     return stood

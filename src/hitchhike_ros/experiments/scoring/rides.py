@@ -15,6 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
+from hitchhike_ros.protocol.phase import ON_BOARD, Phase
 from hitchhike_ros.protocol.status import ModuleSwitches, Status
 
 Window = tuple[float, float]
@@ -138,16 +139,15 @@ def _ride_of(record: RideRecord, hitchhiker: str, asked_at: float, statuses: Seq
         if hitchhiker in s.convoy or (s.ride is not None and s.ride.ride_id == ride.ride_id)
     ]
     riding_at = statuses[0].time_stamp if statuses[0].state == "riding" else None
-    on_board = ("riding", "seeking", "locating", "catching_up", "recoupling", "parting", "settling", "relocalizing")
-    released = (s.time_stamp for s in statuses if s.role != "hitchhiker" or s.state not in on_board)
+    released = (s.time_stamp for s in statuses if s.role != "hitchhiker" or s.phase not in ON_BOARD)
     return Ride(
         hitchhiker=hitchhiker,
         driver=ride.driver,
         requested_at=asked_at,
-        offered_at=_first(driven, "offering", "aligning"),
-        aligning_at=_first(driven, "aligning", "aligned"),
+        offered_at=_first(driven, Phase.ASKING, Phase.MEETING),
+        aligning_at=_first(driven, Phase.MEETING, Phase.COUPLING),
         riding_at=riding_at,
-        decoupling_at=_decoupling(driven, _first(statuses, "settling")),
+        decoupling_at=_decoupling(driven, _first(statuses, Phase.HANDING_OVER)),
         released_at=next(released, None) if riding_at is not None else None,
     )
 
@@ -157,12 +157,12 @@ def _decoupling(driven: Sequence[Status], settled_at: float | None) -> float | N
 
     Which of the two is stamped first is not asked: robots' stamps may be a tick of the clock apart.
     """
-    began = [s.time_stamp for s in driven if s.state == "decoupling"]
+    began = [s.time_stamp for s in driven if s.phase is Phase.HANDING_OVER]
     return min(began, key=lambda stamp: abs(stamp - settled_at) if settled_at is not None else stamp, default=None)
 
 
-def _first(statuses: Iterable[Status], *states: str) -> float | None:
-    return next((s.time_stamp for s in statuses if s.state in states), None)
+def _first(statuses: Iterable[Status], *phases: Phase) -> float | None:
+    return next((s.time_stamp for s in statuses if s.phase in phases), None)
 
 
 def _difference(later: float | None, earlier: float | None) -> float | None:
