@@ -20,6 +20,7 @@ from hitchhike_ros.experiments.scenarios.scripted_human import HumanParameters, 
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.status import GoalCommand, Status
+from protocol_helpers import driver_in
 
 PARAMS, AVOIDANCE = TeleopAuthorityParameters(), LocalPlannerParameters()
 AHEAD, BACK, LEFT = Twist2D(0.5, 0.0), Twist2D(-0.5, 0.0), Twist2D(0.0, 0.5)
@@ -32,7 +33,7 @@ START, GOAL = Pose2D(8.0, 5.72, 0.0), Pose2D(20.0, 5.72, 0.0)
 
 @pytest.mark.parametrize("state", DriverState)
 def test_a_driver_is_driven_by_hand_only_where_it_drives(state: DriverState) -> None:
-    goal = GoalCommand("1", 5.0, 0.0, 0.0)
+    goal = driver_in(state).machine.goal
     mode = Status(0.0, "p3dx", "driver", state.value, goal=goal).teleop_mode
     assert mode == ("guided" if state in (DriverState.NAVIGATING, DriverState.DRIVING) else "off")
     assert Status(0.0, "p3dx", "driver", state.value).teleop_mode == "off"
