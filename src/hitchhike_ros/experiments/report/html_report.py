@@ -18,7 +18,6 @@ from hitchhike_ros.core.errors import HitchhikeError, MessageError
 from hitchhike_ros.experiments.report.report_map import MapPicture, data_uri, map_picture, replay
 from hitchhike_ros.experiments.report.report_plots import (
     KINDS,
-    TROUBLE,
     Plot,
     RobotBars,
     TimeAxis,
@@ -141,7 +140,7 @@ def write_report(
         versions=_versions(results),
         command=_command([result.scenario.name for result in results], _seeds(results)),
         seeds=_seeds(results),
-        kinds=[*KINDS, TROUBLE],
+        kinds=KINDS,
         marks={GOOD: "good", BAD: "bad"},
     )
     path = folder / NAME

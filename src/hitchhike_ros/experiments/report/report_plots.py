@@ -15,19 +15,26 @@ from hitchhike_ros.core.datatypes import FloatArray
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide
 from hitchhike_ros.experiments.scoring.tracks import distances_from_trail, gap_errors, poses_at, trail_of
+from hitchhike_ros.protocol.driver.states import DriverState
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
+from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.protocol.status import Status
 
-# What a state is about, by which bars are coloured. Others, those of a ride that hangs, are "trouble".
-KINDS = {
-    "idle": ("idle",),
-    "alone": ("navigating",),
-    "arranging": ("requesting", "locking", "offering", "awaiting_aligned"),
-    "coupling": ("aligning", "aligned", "coupling"),
-    "riding": ("riding", "driving"),
-    "handing over": ("decoupling", "settling", "relocalizing", "parting"),
-}
+# What a phase is about, by which bars are coloured; "trouble" is a ride that hangs.
 TROUBLE = "trouble"
-_KIND_OF = {state: kind for kind, states in KINDS.items() for state in states}
+_KIND_OF = {
+    Phase.ALONE: "alone",
+    Phase.ASKING: "arranging",
+    Phase.MEETING: "coupling",
+    Phase.COUPLING: "coupling",
+    Phase.COUPLED: "riding",
+    Phase.HANDING_OVER: "handing over",
+    Phase.PARTING: "handing over",
+    Phase.RETURNING: TROUBLE,
+}
+# A ride that hangs although both are coupled.
+_HANGING = (HitchhikerState.SEEKING.value, DriverState.WAITING_FOR_RIDER.value)
+KINDS = ("idle", *dict.fromkeys(_KIND_OF.values()))
 
 _TICKS = 10  # at most about so many on the axis of time
 _CURVE_POINTS = 400  # of a curve at most: more than a screen shows
@@ -132,7 +139,7 @@ def robot_bars(name: str, robot: RobotRecord, axis: TimeAxis) -> RobotBars:
             states[-1] = (states[-1][0], end, states[-1][2])
         else:
             states.append((status.time_stamp, end, status))
-    bars = tuple(axis.bar(a, b, state_text(s), _KIND_OF.get(s.state, TROUBLE)) for a, b, s in states)
+    bars = tuple(axis.bar(a, b, state_text(s), _kind(s)) for a, b, s in states)
     modules = list(asdict(robot.statuses[0].modules)) if robot.statuses else []
     return RobotBars(name, bars, tuple((module, _module_bars(module, spans, axis)) for module in modules))
 
@@ -140,6 +147,12 @@ def robot_bars(name: str, robot: RobotRecord, axis: TimeAxis) -> RobotBars:
 def state_text(status: Status) -> str:
     """A state to be read: ``awaiting aligned``."""
     return status.state.replace("_", " ")
+
+
+def _kind(status: Status) -> str:
+    if status.state in _HANGING:
+        return TROUBLE
+    return "idle" if status.state == "idle" else _KIND_OF[status.phase]
 
 
 def _module_bars(module: str, spans: Sequence[tuple[Status, float]], axis: TimeAxis) -> tuple[Bar, ...]:
