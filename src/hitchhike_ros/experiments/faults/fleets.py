@@ -20,6 +20,8 @@ from hitchhike_ros.core.geometry import between, compose
 from hitchhike_ros.experiments.faults.invariants import BrokenInvariantError, Referee
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.protocol.driver.states import DriverState as D
+from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState as H
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
@@ -45,8 +47,8 @@ _LEAST_TRIP_M = 15.0
 _LIMIT_S = 1500.0
 # Steps of a ride in which a robot that falls silent leaves another one waiting.
 _AWKWARD = (
-    *("locking", "awaiting_aligned", "coupling", "riding", "settling", "relocalizing"),
-    *("aligning", "aligned", "driving", "waiting_for_rider", "decoupling"),
+    *(H.LOCKING, H.AWAITING_ALIGNED, H.COUPLING, H.RIDING, H.SETTLING, H.RELOCALIZING),
+    *(D.ALIGNING, D.ALIGNED, D.DRIVING, D.WAITING_FOR_RIDER, D.DECOUPLING),
 )
 # One run of so many has its messages as text; in the others they are handed over as objects, which is faster.
 _JSON_SHARE = 8
@@ -220,7 +222,7 @@ def _crash(world: GridWorld, luck: random.Random, names: list[str]) -> None:
             _fall_silent(world, name, luck.uniform(5.0, _LAST_MISHAP_S), for_s())
     for _ in range(luck.randint(2, 3)):
         after_s = luck.choice((0.0, 0.0, luck.uniform(0.0, 2.0)))
-        world.observers.append(_Trigger(world, luck.choice(_AWKWARD), luck.random() < 0.7, after_s, for_s()))
+        world.observers.append(_Trigger(world, luck.choice(_AWKWARD).value, luck.random() < 0.7, after_s, for_s()))
 
 
 def _fall_silent(world: GridWorld, name: str, begin_s: float, for_s: float) -> None:

@@ -12,10 +12,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from hitchhike_ros.protocol.driver.convoy import Rider
-from hitchhike_ros.protocol.driver.machine import WITH_RIDER
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Award, Effect, Report, Send
-from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, RETURNING, HitchhikerMachine
+from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.messages import (
     Accept,
@@ -29,10 +28,14 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
+from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.simulation.grid.robot import GridRobot
 from hitchhike_ros.simulation.grid.world import GridWorld
 
+# A driver has its riders behind it, and a hitchhiker is on its ride.
+_WITH_RIDER = (Phase.COUPLED, Phase.HANDING_OVER)
+_ON_THE_RIDE = (Phase.COUPLED, Phase.RETURNING, Phase.HANDING_OVER)
 # Ways that a driver counts and its rider does not: it stops a little after it lost the rider, and localizes with noise.
 _METRES, _METRES_SHARE = 3.0, 0.06
 # Of a ride apart from its duration: questions, answers, last words, and as much again for luck.
@@ -175,7 +178,7 @@ class Referee:
         names = [rider.offer.hitchhiker for rider in riders]
         if len(names) > robot.params.places or len(set(names)) < len(names):
             self._fail(f"{robot.name} has {robot.params.places} places and gives them to {names}")
-        if machine.state in WITH_RIDER and machine.speed_limit_mps > robot.params.ride_speed_mps + 1e-9:
+        if machine.state.phase in _WITH_RIDER and machine.speed_limit_mps > robot.params.ride_speed_mps + 1e-9:
             self._fail(f"{robot.name} may go {machine.speed_limit_mps} m/s with a rider")
         for rider in riders:
             if rider.coupled:
@@ -190,7 +193,7 @@ class Referee:
 
     def _check_hitchhiker(self, now: float, robot: GridRobot) -> None:
         machine = robot.traveller.hitchhiker
-        if machine.state in (*COUPLED, *RETURNING) and machine.offer is not None:
+        if machine.state.phase in _ON_THE_RIDE and machine.offer is not None:
             driver = self._world.robots.get(machine.offer.robot_id)
             ride = self._rides.get(machine.ride_id)
             if ride is not None and ride.ridden_from is not None:
