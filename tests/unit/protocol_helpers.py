@@ -42,6 +42,7 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
+from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import GoalCommand
 
@@ -215,13 +216,18 @@ def driver_in(state: DriverState, planner: Planner = corridor_path, **params: An
     return _arrived(bench, machine, state)
 
 
-def rider_in(state: HitchhikerState, sites: Sites = SITES, **params: Any) -> Bench:
+def rider_in(
+    state: HitchhikerState, sites: Sites = SITES, neighbours: Neighbours | None = None, **params: Any
+) -> Bench:
     """A hitchhiker that has come to ``state`` on the usual way."""
     S = HitchhikerState
     way = [S.IDLE, S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING, S.RIDING]
     lost = [S.SEEKING, S.LOCATING, S.CATCHING_UP, S.RECOUPLING, S.PARTING]
     reached = way.index(state) if state in way else len(way)
-    bench = Bench(HitchhikerMachine(RIDER, HitchhikingParameters(**params), sites, CAMERA), pose=WEST.waiting_pose)
+    bench = Bench(
+        HitchhikerMachine(RIDER, HitchhikingParameters(**params), sites, CAMERA, neighbours=neighbours),
+        pose=WEST.waiting_pose,
+    )
     machine = bench.machine
     bench.wait()
     if state is not S.IDLE:

@@ -22,7 +22,7 @@ from hitchhike_ros.protocol.events import Effect, GoalCancelled, GoalGiven, Repo
 from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.matching import Boardings, Planner, solo_metres
-from hitchhike_ros.protocol.messages import EVERYBODY, Beacon, Message, RearMarker, Request
+from hitchhike_ros.protocol.messages import Beacon, Message, RearMarker, Request
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
 from hitchhike_ros.protocol.reasons import Ending, Reason
@@ -138,10 +138,8 @@ class Traveller:
     def _tick(self, tick: Tick, now: float) -> list[Effect]:
         self._situation = tick.situation
         rode = self.rides
-        left_at = self.hitchhiker.left_at
         effects = self.hitchhiker.step(tick, now) + self.driver.step(tick, now)
         effects += self._book(now)
-        self._note_driver(left_at, now)
         if rode and not self.rides and self.hitchhiker.goal is not None:
             effects += self._go_on(self.hitchhiker.goal, now)
         if self._pending is not None and not self.rides and tick.situation.estimate is not None:
@@ -161,17 +159,15 @@ class Traveller:
             self.robot_id, self.params, self._sites, self._camera, self._rear_marker, self.neighbours, self._metres
         )
 
-    def _ask(self, goal: Pose2D, now: float, whom: str = EVERYBODY) -> list[Effect]:
+    def _ask(self, goal: Pose2D, now: float) -> list[Effect]:
         self._asks += 1
-        self.hitchhiker.asks = whom
-        self.hitchhiker.window_s = self.params.offer_window_s
-        return self.hitchhiker.step(GoalGiven(goal), now)
+        return self.hitchhiker.ask(goal, now)
 
     def _go_on(self, goal: Pose2D, now: float) -> list[Effect]:
         """After a ride, or after none: with the next driver, with one that is asked now, or alone."""
         booked, self.booking = self.booking, None
         if booked is not None and booked.state is HitchhikerState.AWAITING_ALIGNED:
-            booked.ready_in_s, booked.left_at = 0.0, self.hitchhiker.left_at
+            booked.can_start_in(0.0)
             self.hitchhiker = booked
             return []
         effects = [] if booked is None else booked.step(GoalCancelled(), now)
@@ -186,18 +182,17 @@ class Traveller:
         meeting, booking = current.meeting, self.booking
         if meeting is None or current.goal is None:
             return []
-        ready_in_s = max(current.leaves_in_s(), 1e-3)
+        ready_in_s = max(current.ride_ends_in_s(), 1e-3)
         there = PoseEstimate(now, Pose2D(*meeting.leave), np.zeros((3, 3)))
         tick = Tick(Situation(estimate=there))
         under_way = current.state in (HitchhikerState.AWAITING_ALIGNED, *COUPLED)
         if booking is None and meeting.more and under_way and self._booked_for != current.ride_id:
             self._booked_for = current.ride_id
             self.booking = booking = self._new_hitchhiker()
-            booking.window_s, booking.ready_in_s = self.params.offer_window_s, ready_in_s
-            return booking.step(tick, now) + booking.step(GoalGiven(current.goal), now)
+            return booking.step(tick, now) + booking.ask(current.goal, now, ready_in_s=ready_in_s)
         if booking is None:
             return []
-        booking.ready_in_s = ready_in_s
+        booking.can_start_in(ready_in_s)
         effects = booking.step(tick, now)
         if booking.state is HitchhikerState.IDLE:
             self.booking = None
@@ -225,15 +220,10 @@ class Traveller:
         goal = self.driver.own_goal
         assert goal is not None
         effects: list[Effect] = [Report(str(Reason.ROLES_REVERSED), Reason.ROLES_REVERSED)]
-        effects += self.driver.step(GoalCancelled(), now) + self._ask(goal, now, request.robot_id)
-        self.hitchhiker.window_s = _REVERSAL_WINDOWS * self.params.offer_window_s
-        return effects
-
-    def _note_driver(self, left_at: Pose2D | None, now: float) -> None:
-        """A driver that is left is where it was seen then: what it said last may be metres old."""
-        seen = self.hitchhiker.left_at
-        if seen is not None and seen != left_at:
-            self.neighbours.saw(self._driver, seen, now)
+        effects += self.driver.step(GoalCancelled(), now)
+        self._asks += 1
+        window_s = _REVERSAL_WINDOWS * self.params.offer_window_s
+        return effects + self.hitchhiker.ask(goal, now, request.robot_id, window_s)
 
     def _drop_goal(self, now: float) -> list[Effect]:
         self._pending = None

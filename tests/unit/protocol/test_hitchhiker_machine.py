@@ -19,6 +19,7 @@ from hitchhike_ros.protocol.messages import (
     Accept,
     Ack,
     Aligned,
+    Beacon,
     Coupled,
     Decouple,
     Deny,
@@ -29,12 +30,14 @@ from hitchhike_ros.protocol.messages import (
     RequestCancel,
     Terminate,
 )
+from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches
 from protocol_helpers import (
     BOXES,
     CAMERA,
     DRIVER,
     MARKER_POSE,
+    REAR_MARKER,
     RIDER,
     RIDER_GOAL,
     SIGMA,
@@ -171,12 +174,11 @@ def test_aligned_may_overtake_the_lost_confirmation_of_the_lock() -> None:
 def test_aligned_that_confirms_the_lock_settles_all_offers() -> None:
     """Found by `bench faults`, seeds 2835 and 9786: offers outlived the ride."""
     bench = rider_in(S.LOCKING)
-    offer = bench.machine.offer
-    assert offer is not None
-    bench.machine._offers = {name: (replace(offer, robot_id=name), 0.0) for name in (offer.robot_id, "other")}
+    for driver in (DRIVER, "other"):
+        bench.machine._asking.note_offer(replace(bench.machine.offer, robot_id=driver), bench.now)
     bench.hear(Aligned)
     assert [m.to for m in bench.take(RequestCancel)] == ["other"]
-    assert bench.machine._offers == {}
+    assert not bench.machine.offers
 
 
 # Meeting from afar.
@@ -213,7 +215,7 @@ def test_a_new_request_is_made_from_where_the_robot_is_now() -> None:
 def test_a_ride_that_is_over_ends_now(state: HitchhikerState) -> None:
     """While it localized after the ride, it told its next driver that the ride was still to come."""
     over = state in (S.IDLE, S.REQUESTING, S.RELOCALIZING, S.PARTING)
-    assert (rider_in(state, mode="network").machine.leaves_in_s() == 0.0) is over
+    assert (rider_in(state, mode="network").machine.ride_ends_in_s() == 0.0) is over
 
 
 # Timeouts: every state that waits ends by itself.
@@ -290,8 +292,8 @@ def test_an_old_image_couples_nothing() -> None:
 
 
 def test_another_robots_marker_couples_nothing() -> None:
-    bench = rider_in(S.COUPLING)
-    bench.machine._rear_marker = replace(bench.machine._rear_marker, marker_id=3)
+    bench = rider_in(S.AWAITING_ALIGNED)
+    bench.hear(Aligned, ahead=replace(REAR_MARKER, marker_id=3))  # the bench shows marker 0
     bench.gap = 0.8
     bench.wait(5.0)
     assert bench.machine.state is S.COUPLING
@@ -387,18 +389,26 @@ def test_a_driver_that_falls_silent_leaves_a_rough_pose_and_a_robot_that_goes_on
     assert [type(m) for m in bench.take(Message)] == [Terminate]  # nothing was handed over, so nothing is acknowledged
 
 
+def _place_of(robot_id: str, neighbours: Neighbours) -> Pose2D:
+    place = neighbours._place(robot_id)
+    assert place is not None
+    return Pose2D(place[0].x, place[0].y, place[0].theta)
+
+
 def test_where_the_driver_was_left_is_as_right_as_the_own_pose() -> None:
     """It drives past it: from a rough pose, 9 cm off, it touched it."""
-    bench = rider_in(S.RIDING)
+    neighbours = Neighbours()
+    bench = rider_in(S.RIDING, neighbours=neighbours)
+    neighbours.hear(replace(messages()[Beacon], robot_id=DRIVER, pose=Pose2D(11.0, 5.0)), bench.now)
     bench.hear(Driver, x=12.0, y=5.72, theta=0.1)
     bench.clear()
     while bench.machine.state is S.RIDING:
         bench.wait()
-    rough, left_at = bench.take(TakePose)[0].estimate.pose, bench.machine.left_at
+    rough, left_at = bench.take(TakePose)[0].estimate.pose, _place_of(DRIVER, neighbours)
     own = compose(rough, Pose2D(-0.09, 0.02, 0.01))
     _localized(bench, own)
     assert bench.machine.state is S.PARTING
-    before, after = between(rough, left_at), between(own, bench.machine.left_at)
+    before, after = between(rough, left_at), between(own, _place_of(DRIVER, neighbours))
     assert (after.x, after.y, after.theta) == pytest.approx((before.x, before.y, before.theta))
 
 

@@ -203,8 +203,8 @@ class Referee:
             knows = rider is not None and rider.offer.ride_id == machine.ride_id
             self._lasts(now, not knows, self._silent_s(robot), "rider", robot.name, machine.ride_id)
         for other in _hitchhikers(robot):
-            if other.state is HitchhikerState.IDLE and other._offers:
-                self._fail(f"{robot.name} has no goal and keeps offers of {', '.join(other._offers)}")
+            if other.state is HitchhikerState.IDLE and other.offers:
+                self._fail(f"{robot.name} has no goal and keeps offers of {', '.join(other.offers)}")
 
     def _check_bounds(self, now: float) -> None:
         for (name, driver, ride_id), since in list(self._offers.items()):

@@ -17,6 +17,7 @@ from hitchhike_ros.protocol.driver.machine import DriverMachine
 from hitchhike_ros.protocol.events import Award, TakeObstacles
 from hitchhike_ros.protocol.hitchhiker import machine as h
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
+from hitchhike_ros.protocol.hitchhiker.ride import Ride
 from hitchhike_ros.protocol.loose_machine import Machine
 
 # Bad networks and worse ones take turns.
@@ -57,10 +58,6 @@ def _without_timeout(cls: type[Machine[Any]], state: object) -> Patch:
 def _credit_twice(original: Any, self: DriverMachine, *args: Any, **kw: Any) -> None:
     original(self, *args, **kw)
     self._effects += [effect for effect in self._effects if isinstance(effect, Award)]
-
-
-def _forget_offers(_original: Any, self: HitchhikerMachine) -> None:
-    self._offers = {}
 
 
 def _without_obstacles(original: Any, self: HitchhikerMachine, *args: Any) -> None:
@@ -109,7 +106,7 @@ def _nothing(*_: Any, **__: Any) -> None:
 
 
 MUTATIONS: dict[str, Patch] = {
-    "skip the cancel": _before(HitchhikerMachine, "_cancel_offers", _forget_offers),
+    "skip the cancel": _before(HitchhikerMachine, "_cancel_offers", _nothing),
     "leave late offers unanswered": _before(HitchhikerMachine, "_refuse_offer", _nothing),
     "credit twice": _before(DriverMachine, "_finish", _credit_twice),
     "credit nobody": _before(DriverMachine, "_finish", _credit_nobody),
@@ -119,7 +116,7 @@ MUTATIONS: dict[str, Patch] = {
     "wait for coupling for ever": _wait_for_coupling,
     "hand over for ever": _without_timeout(DriverMachine, d.S.DECOUPLING),
     "ask for a lock for ever": _without_timeout(HitchhikerMachine, h.S.LOCKING),
-    "believe in a silent driver": _before(HitchhikerMachine, "_silent", lambda *_: False),
+    "believe in a silent driver": _before(Ride, "silent", lambda *_: False),
     "never miss a rider": _before(DriverMachine, "_missing", lambda *_: ()),
     "keep a rider that has left": _before(DriverMachine, "_rider_gone", _nothing),
     "keep a rider that was handed over": _before(Convoy, "remove", _keep),
