@@ -59,7 +59,7 @@ class RideEnd:
 
     @property
     def sim_s(self) -> float:
-        return self.record.clock[-1].stamp if self.record.clock else 0.0
+        return self.record.lasted[0]
 
     @property
     def completed(self) -> bool:

@@ -54,7 +54,7 @@ class Progress:
 
 def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | None) -> Progress:
     """Where the run stands, from the newest of everything recorded."""
-    sim_s = record.clock[-1].stamp if record.clock else None
+    sim_s = record.lasted[0] if record.clock else None
     if ride is None:
         if all(robot.arrived for robot in record.robots.values()):
             return Progress(ARRIVED, sim_s=sim_s, real_time_factor=real_time_factor)

@@ -92,6 +92,24 @@ class TrafficSample:
 
 
 @dataclass(frozen=True)
+class MemorySample:
+    """The proportional set size of a process: its own memory, and its share of what it has in common with others."""
+
+    stamp: float
+    node: str
+    pss_mb: float
+
+
+@dataclass(frozen=True)
+class StepSample:
+    """How many steps the simulator has made on the system's clock, and how many of them began too late."""
+
+    stamp: float
+    steps: int
+    late: int
+
+
+@dataclass(frozen=True)
 class ClockSample:
     """Simulated time at a wall time of the recording machine."""
 
@@ -150,7 +168,9 @@ class RideRecord:
     contacts: list[Contact] = field(default_factory=list)
     cpu: list[CpuSample] = field(default_factory=list)
     traffic: list[TrafficSample] = field(default_factory=list)
+    memory: list[MemorySample] = field(default_factory=list)
     clock: list[ClockSample] = field(default_factory=list)
+    steps: list[StepSample] = field(default_factory=list)
     simulator: dict[str, str] = field(default_factory=dict)  # its newest diagnostics
 
     @property
@@ -166,6 +186,17 @@ class RideRecord:
             return 0.0, 0.0
         first, last = self.clock[0], self.clock[-1]
         return last.stamp - first.stamp, last.wall_s - first.wall_s
+
+    def late_share(self, begin: float, end: float) -> float | None:
+        """Of the simulator's steps between two stamps, the share that began too late; None where they are not known.
+
+        The counts are those of the last sample before ``begin`` and the first after ``end``, or the nearest.
+        """
+        before = [s for s in self.steps if s.stamp <= begin] or self.steps[:1]
+        after = [s for s in self.steps if s.stamp >= end] or self.steps[-1:]
+        if not before or after[0].steps <= before[-1].steps:
+            return None
+        return (after[0].late - before[-1].late) / (after[0].steps - before[-1].steps)
 
     def ridden_m(self, robot: str) -> float:
         """How far the ride is by now in which ``robot`` takes part, as its driver reports it."""

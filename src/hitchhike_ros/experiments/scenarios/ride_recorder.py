@@ -17,9 +17,11 @@ from hitchhike_ros.experiments.scenarios.ride_record import (
     ClockSample,
     Contact,
     CpuSample,
+    MemorySample,
     RideRecord,
     RobotRecord,
     Sighting,
+    StepSample,
     TimedEstimate,
     TimedPose,
     TimedText,
@@ -38,7 +40,7 @@ _ESSENTIAL = frozenset(
     }
 )
 
-Sample = Literal["nodes", "cpu", "traffic"]
+Sample = Literal["nodes", "cpu", "memory", "traffic"]
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,11 @@ class SamplingParameters:
     look_s: Positive = 0.2  # at what is recorded, to show it and to see the end
     nodes_s: Positive = 1.0  # which nodes there are
     cpu_s: Positive = 0.4
+    memory_s: Positive = 5.0
     traffic_s: Positive = 4.0
 
     def period_s(self, what: Sample) -> float:
-        return {"nodes": self.nodes_s, "cpu": self.cpu_s, "traffic": self.traffic_s}[what]
+        return {"nodes": self.nodes_s, "cpu": self.cpu_s, "memory": self.memory_s, "traffic": self.traffic_s}[what]
 
 
 class Sampling:
@@ -133,13 +136,19 @@ class RideRecorder:
         """A robot touched something."""
         self.record.contacts.append(contact)
 
-    def simulator(self, values: Mapping[str, str]) -> None:
+    def simulator(self, stamp: float, values: Mapping[str, str]) -> None:
         """The simulator's newest diagnostics."""
         self.record.simulator = dict(values)
+        if "steps" in values and "late_steps" in values:
+            self.record.steps.append(StepSample(stamp, int(values["steps"]), int(values["late_steps"])))
 
     def clock(self, stamp: float, wall_s: float) -> None:
         """Simulated time and wall time at one moment."""
         self.record.clock.append(ClockSample(stamp, wall_s))
+
+    def memory(self, sample: MemorySample) -> None:
+        """What a node's process takes of the machine's memory."""
+        self.record.memory.append(sample)
 
     def cpu(self, sample: CpuSample) -> None:
         """What a node has used so far."""

@@ -78,4 +78,4 @@ def _take_contact(recorder: RideRecorder, _name: str, msg: String) -> None:
 def _take_diagnostics(recorder: RideRecorder, _name: str, msg: DiagnosticArray) -> None:
     for status in msg.status:
         if status.hardware_id == "/simulator":
-            recorder.simulator({value.key: value.value for value in status.values})
+            recorder.simulator(msg.header.stamp.to_sec(), {value.key: value.value for value in status.values})

@@ -37,7 +37,7 @@ from hitchhike_ros.experiments.report.ride_files import RideEnd, write_files
 from hitchhike_ros.experiments.report.ride_frames import FramePlan, frames_due
 from hitchhike_ros.experiments.report.ride_report import change, live_line, progress
 from hitchhike_ros.experiments.report.screen import LivingLine, console, show
-from hitchhike_ros.experiments.scenarios.ride_record import CpuSample, TrafficSample
+from hitchhike_ros.experiments.scenarios.ride_record import CpuSample, MemorySample, TrafficSample
 from hitchhike_ros.experiments.scenarios.ride_recorder import (
     WATCHERS,
     RideRecorder,
@@ -110,6 +110,8 @@ class RideMonitor:
                     return f"the ROS master does not answer ({exc})"
             if self._sampling.due("cpu", wall):
                 self._sample_cpu()
+            if self._sampling.due("memory", wall):
+                self._sample_memory()
             with self._topics.lock:
                 switched = self._recorder.switched()
             if switched:
@@ -143,6 +145,11 @@ class RideMonitor:
         self._recorder.clock(rospy.get_time(), time.monotonic())
         for use in self._processes.use():
             self._recorder.cpu(CpuSample(rospy.get_time(), time.monotonic(), *astuple(use)))
+
+    def _sample_memory(self) -> None:
+        if rospy.get_time() > 0.0:
+            for node, pss_mb in self._processes.memory().items():
+                self._recorder.memory(MemorySample(rospy.get_time(), node, pss_mb))
 
     def _sample_traffic(self) -> None:
         if rospy.get_time() > 0.0:

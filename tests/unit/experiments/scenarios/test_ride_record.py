@@ -11,6 +11,7 @@ from hitchhike_ros.core.errors import InputFileError
 from hitchhike_ros.experiments.scenarios.ride_record import (
     RideRecord,
     RobotRecord,
+    StepSample,
     load_record,
     save_record,
 )
@@ -59,3 +60,13 @@ def test_a_file_that_is_no_record_is_named(content: str | None, tmp_path: Path) 
         file.write_text(content)
     with pytest.raises(InputFileError, match=r"record\.json"):
         load_record(file)
+
+
+def test_late_steps_are_counted_between_two_stamps(record: RideRecord) -> None:
+    assert record.late_share(0.0, 10.0) is None
+    record.steps = [StepSample(float(t), 10 * t, late) for t, late in ((1, 5), (2, 5), (3, 6), (4, 8), (5, 8))]
+    assert record.late_share(2.0, 4.0) == pytest.approx(3 / 20)
+    assert record.late_share(2.5, 3.5) == pytest.approx(3 / 20)  # whole samples around them
+    assert record.late_share(-9.0, 99.0) == pytest.approx(3 / 40)
+    assert record.late_share(4.5, 99.0) == 0.0
+    assert record.late_share(6.0, 7.0) is None

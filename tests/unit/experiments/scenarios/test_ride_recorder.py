@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
-from hitchhike_ros.experiments.scenarios.ride_record import Contact, CpuSample, TimedPose, TrafficSample
+from hitchhike_ros.experiments.scenarios.ride_record import (
+    Contact,
+    CpuSample,
+    MemorySample,
+    StepSample,
+    TimedPose,
+    TrafficSample,
+)
 from hitchhike_ros.experiments.scenarios.ride_recorder import RideRecorder, Sampling, SamplingParameters, missed
 from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.status import RideStatus, Status
@@ -60,15 +67,18 @@ def test_the_run_keeps_messages_contacts_and_samples(recorder: RideRecorder) -> 
     recorder.contact(contact)
     recorder.cpu(cpu)
     recorder.traffic(TrafficSample(1.0, "/p3dx/slam", 3))
+    recorder.memory(MemorySample(2.0, "/p3dx/slam", 30.0))
     recorder.clock(1.0, 100.0)
     recorder.clock(4.0, 106.0)
-    recorder.simulator({"steps": "1"})
-    recorder.simulator({"steps": "2"})
+    recorder.simulator(1.0, {"contacts": "0"})
+    recorder.simulator(2.0, {"steps": "2", "late_steps": "1"})
     record = recorder.record
     assert [m.text for m in record.messages] == ["{}"]
     assert (record.contacts, record.cpu, record.traffic[0].messages_in) == ([contact], [cpu], 3)
     assert record.lasted == (3.0, 6.0)
-    assert record.simulator == {"steps": "2"}
+    assert record.simulator == {"steps": "2", "late_steps": "1"}
+    assert record.steps == [StepSample(2.0, 2, 1)]
+    assert record.memory == [MemorySample(2.0, "/p3dx/slam", 30.0)]
 
 
 def test_a_switch_is_told_once(recorder: RideRecorder) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import psutil
 import pytest
 
-from hitchhike_ros.nodes.sim.processes import Traffic, TrafficCounter, _peak_mb
+from hitchhike_ros.nodes.sim.processes import Traffic, TrafficCounter, _peak_mb, pss_mb
 
 # As rospy answered: /rosout, /odom to two nodes of which one records; /clock in.
 ROSPY = [
@@ -67,3 +67,11 @@ def test_peak_memory_is_at_least_what_is_in_use() -> None:
     assert _peak_mb(os.getpid()) >= 0.95 * psutil.Process().memory_info().rss / 2**20 > 32.0
     del ballast
     assert _peak_mb(os.getpid()) > 32.0
+
+
+def test_own_memory_counts_whole_and_is_part_of_what_is_resident() -> None:
+    before = pss_mb(os.getpid())
+    ballast = bytearray(64 * 2**20)
+    assert 60.0 < pss_mb(os.getpid()) - before < 68.0
+    assert pss_mb(os.getpid()) <= psutil.Process().memory_info().rss / 2**20 + 1.0
+    del ballast
