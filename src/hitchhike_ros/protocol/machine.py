@@ -41,8 +41,8 @@ class Facts:
         return self.now - self.entered
 
 
-def of_phases(*phases: Phase) -> Any:
-    """A field of facts that exists in these phases only.
+def of_phases(*phases: Phase | RoleState) -> Any:
+    """A field of facts that exists in these phases, or single states, only.
 
     The action that leads into them sets it, the machine forgets it after the action that leads out of them, and reading
     it elsewhere is an AttributeError.
@@ -66,8 +66,9 @@ class Row:
     """In one of ``states``, ``on`` an event or a deadline, where all guards (``when``) hold: do ``action``, go ``to``.
 
     The action is the name of a method that takes the event (nothing, after a deadline). It runs in the state that the
-    row leads to, and finds the facts of the phase that is left. ``why`` becomes the machine's ending; an action may
-    say more. Rows without a target stay: time in the state runs on. With its own state as target a state begins anew.
+    row leads to, and finds the facts of the phase that is left. ``why`` becomes the machine's ending, where it is None
+    the ending stays as it is; an action may say more. Rows without a target stay: time in the state runs on. With its
+    own state as target a state begins anew.
     """
 
     states: tuple[Any, ...]
@@ -75,7 +76,7 @@ class Row:
     action: str | None = None
     to: Any = None
     when: tuple[Guard, ...] = ()
-    why: Reason = Reason.NONE
+    why: Reason | None = Reason.NONE
 
 
 @dataclass(frozen=True)
@@ -185,12 +186,13 @@ class Machine(Generic[S, F]):
 
     def _take(self, row: Row, *event: object) -> None:
         if row.to is not None:
-            self.state, self.ending, self.facts.entered, self._due = row.to, Ending(row.why), self.facts.now, {}
+            self.state, self.facts.entered, self._due = row.to, self.facts.now, {}
+            self.ending = self.ending if row.why is None else Ending(row.why)
         if row.action is not None:
             getattr(self, row.action)(*event)
         if row.to is not None:
             for name, phases in self._of_phases.items():
-                if row.to.phase not in phases:
+                if row.to.phase not in phases and row.to not in phases:
                     self.facts.__dict__.pop(name, None)
 
     # For subclasses.

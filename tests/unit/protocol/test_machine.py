@@ -133,6 +133,51 @@ def test_facts_of_a_phase_are_there_in_it_and_for_the_action_that_leaves_it() ->
     assert not hasattr(machine.facts, "asked")
 
 
+def test_facts_of_a_single_state_are_forgotten_within_its_phase() -> None:
+    class Steps(RoleState):
+        """Two states of one phase."""
+
+        FIRST = "first", Phase.ASKING
+        SECOND = "second", Phase.ASKING
+
+    @dataclass(eq=False)
+    class StepFacts(Facts):
+        """What is known in the first of them, and in both."""
+
+        once: str = of_phases(Steps.FIRST)
+        always: str = of_phases(Phase.ASKING)
+
+    class Stepper(Machine[Steps, StepFacts]):
+        INITIAL = Steps.FIRST
+        ROWS = (
+            Row((Steps.FIRST,), Deny, "_note", Steps.FIRST),
+            Row((Steps.FIRST,), Tick, None, Steps.SECOND),
+            Row((Steps.SECOND,), Tick, None, Steps.FIRST),
+        )
+
+        def _note(self, _message: Deny) -> None:
+            self.facts.once = self.facts.always = "told"
+
+    machine = Stepper(StepFacts())
+    machine.step(Deny(robot_id="other", reason="no"), 1.0)
+    assert (machine.facts.once, machine.facts.always) == ("told", "told")
+    machine.step(TICK, 2.0)
+    assert machine.facts.always == "told"
+    assert not hasattr(machine.facts, "once")
+
+
+def test_a_row_may_keep_the_ending() -> None:
+    class Keeper(Lamp):
+        ROWS = (*ROWS[:-2], Row((S.ON,), Terminate, None, S.OFF, why=None))
+
+    machine = Keeper(LampFacts(voltage=20.0))
+    machine.step(GoalGiven(None), 1.0)
+    machine.step(TICK, 2.0)
+    assert machine.ending == Ending(Reason.SEEN_AGAIN)
+    machine.step(Terminate(robot_id="other", reason="over"), 3.0)
+    assert (machine.state, machine.ending) == (S.OFF, Ending(Reason.SEEN_AGAIN))
+
+
 def test_a_state_that_leads_to_itself_begins_anew() -> None:
     machine = lamp(voltage=20.0)
     machine.step(GoalGiven(None), 1.0)
