@@ -21,7 +21,7 @@ from hitchhike_ros.experiments.scoring.rides import find_ride
 def ledger(ridden: RideRecord, alone: RideRecord) -> list[Table]:
     """The whole ledger of a ride beside the same way alone, a table each."""
     ride, comparisons = find_ride(ridden), compare(ridden, alone)
-    parts = [figure_table(cost_figures(ridden, alone))]
+    parts = [figure_table(cost_figures(ridden, alone), title="What the ride saves")]
     parts += [comparison_table(comparison) for comparison in comparisons]
     for comparison in comparisons[-1:]:
         parts.append(ledger_table(comparison.rider.modules, "With the ride, from goal to goal"))

@@ -1,17 +1,14 @@
-"""What the report draws over time: bars of states and modules, and curves, in percent of a picture that stretches.
-
-Only shapes are worked out here, as plain values; the report's template draws them, with its own texts and colours.
-"""
+"""What the report shows over time: bars of states and modules, in percent of a picture that stretches, and curves."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from markupsafe import Markup
 
-from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.experiments.report.curves import SIZES, Series, curves_svg, round_values
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide
 from hitchhike_ros.experiments.scoring.tracks import distances_from_trail, gap_errors, poses_at, trail_of
@@ -37,8 +34,7 @@ _HANGING = (HitchhikerState.SEEKING.value, DriverState.WAITING_FOR_RIDER.value)
 KINDS = ("idle", *dict.fromkeys(_KIND_OF.values()))
 
 _TICKS = 10  # at most about so many on the axis of time
-_CURVE_POINTS = 400  # of a curve at most: more than a screen shows
-_HEIGHT = 1000.0  # of the square that a curve's path is drawn in
+_LATERAL_POINTS = 200  # of a curve, as each costs a search
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ class TimeAxis:
 
     @property
     def ticks(self) -> list[Tick]:
-        return [Tick(self.percent(t), f"{t:g}") for t in nice_ticks(self.start, self.end)]
+        return [Tick(self.percent(t), f"{t:g}") for t in round_values(self.start, self.end, _TICKS)]
 
     def bar(self, begin: float, end: float, text: str, kind: str) -> Bar:
         left = self.percent(begin)
@@ -94,32 +90,12 @@ class RobotBars:
 
 
 @dataclass(frozen=True)
-class Curve:
-    """``path`` is an SVG path in a square of 1000 × 1000; ``index`` is the number of the robot it is of."""
-
-    label: str
-    index: int
-    path: str
-
-
-@dataclass(frozen=True)
 class Plot:
-    """Curves over the time axis of its experiment."""
+    """Curves over the time axis of their run, a picture for each size of the page, and whose each curve is."""
 
     title: str
-    unit: str
-    ticks: tuple[Tick, ...]
-    curves: tuple[Curve, ...]
-
-
-@dataclass(frozen=True)
-class Series:
-    """Values (N,) at the times (N,); NaN where there is none."""
-
-    label: str
-    index: int
-    stamps: FloatArray
-    values: FloatArray
+    pictures: dict[str, Markup]
+    legend: tuple[tuple[str, int], ...]  # label and number of the robot
 
 
 def time_axis(record: RideRecord) -> TimeAxis:
@@ -183,8 +159,8 @@ def following_plots(
                 gaps.append(Series(label, index, stamps, errors))
             laterals.append(_lateral(label, index, record.robots[ahead], robot, window))
     plots = (
-        _plot("Error of the gap (true distance − ordered)", "m", gaps, axis),
-        _plot("Lateral error (distance from the trail of the robot ahead)", "m", laterals, axis),
+        _plot("Error of the gap (true distance − ordered), in m", gaps, axis),
+        _plot("Lateral error (distance from the trail of the robot ahead), in m", laterals, axis),
     )
     return [plot for plot in plots if plot is not None]
 
@@ -210,7 +186,7 @@ def _followed(
 
 def _lateral(label: str, index: int, ahead: RobotRecord, robot: RobotRecord, window: tuple[float, float]) -> Series:
     """Distance from the trail that the robot ahead has left since ``window`` began."""
-    stamps = np.linspace(*window, _CURVE_POINTS // 2)
+    stamps = np.linspace(*window, _LATERAL_POINTS)
     if not robot.truth or not ahead.truth:
         return Series(label, index, np.empty(0), np.empty(0))
     trail = trail_of(ahead.truth, window)
@@ -220,40 +196,9 @@ def _lateral(label: str, index: int, ahead: RobotRecord, robot: RobotRecord, win
     return Series(label, index, stamps, np.array([d[0] if len(d) else np.nan for d in distances]))
 
 
-def _plot(title: str, unit: str, series: Sequence[Series], axis: TimeAxis) -> Plot | None:
-    values = np.concatenate([np.zeros(1), *(s.values for s in series)])
-    values = values[np.isfinite(values)]
-    if len(values) < 2:
+def _plot(title: str, series: Sequence[Series], axis: TimeAxis) -> Plot | None:
+    drawn = [one for one in series if np.isfinite(one.values).any()]
+    if not drawn:
         return None
-    low, high = float(values.min()), float(values.max())
-    margin = 0.05 * (high - low) or 0.01
-    low, high = (low - margin if low < 0.0 else low), high + margin
-    curves = tuple(Curve(s.label, s.index, _path(s, axis, low, high)) for s in series if np.isfinite(s.values).any())
-    values_at = nice_ticks(low, high, 5)
-    decimals = max(0, -math.floor(math.log10(values_at[1] - values_at[0]) + 1e-9)) if len(values_at) > 1 else 2
-    ticks = tuple(Tick(round(100.0 * (high - v) / (high - low), 2), f"{v:.{decimals}f}") for v in values_at)
-    return Plot(title, unit, ticks, curves)
-
-
-def _path(series: Series, axis: TimeAxis, low: float, high: float) -> str:
-    step = max(1, math.ceil(len(series.stamps) / _CURVE_POINTS))
-    texts, pen_down = [], False
-    for stamp, value in zip(series.stamps[::step], series.values[::step], strict=True):
-        if not math.isfinite(value):
-            pen_down = False
-            continue
-        x, y = 10.0 * axis.percent(float(stamp)), _HEIGHT * (high - value) / (high - low)
-        texts.append(f"{'L' if pen_down else 'M'}{x:.1f} {y:.1f}")
-        pen_down = True
-    return "".join(texts)
-
-
-def nice_ticks(low: float, high: float, about: int = _TICKS) -> list[float]:
-    """Round numbers within [low, high], 1, 2 or 5 times a power of ten apart."""
-    if not high > low:
-        return [low]
-    raw = (high - low) / about
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * (1.0 - 1e-9))
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [round(k * step, 10) + 0.0 for k in range(first, last + 1)]
+    pictures = {name: curves_svg(drawn, (axis.start, axis.end), size, title) for name, size in SIZES.items()}
+    return Plot(title, pictures, tuple((one.label, one.index) for one in drawn))

@@ -111,7 +111,7 @@ def module_names(modules: ModuleSwitches) -> str:
     return " ".join(name if on else name.lower() for name, on in asdict(modules).items())
 
 
-def figure_table(figures: Sequence[Figure], peer: str = "paper") -> Table:
+def figure_table(figures: Sequence[Figure], peer: str = "paper", title: str = "Figures") -> Table:
     """Every figure beside its peer's, which are the paper's unless said otherwise, with its bound."""
     rows: list[list[str]] = [
         [
@@ -124,7 +124,7 @@ def figure_table(figures: Sequence[Figure], peer: str = "paper") -> Table:
         ]
         for figure in figures
     ]
-    return Table("Figures", ["", "ours", peer, "ratio", "bound", ""], rows)
+    return Table(title, ["", "ours", peer, "ratio", "bound", ""], rows)
 
 
 def box_table(matches: Sequence[BoxMatch]) -> Table:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.experiments.report.curves import SIZES, SVG, Size
 from hitchhike_ros.experiments.report.report_map import map_picture, replay
-from hitchhike_ros.experiments.report.report_plots import following_plots, nice_ticks, robot_bars, time_axis
+from hitchhike_ros.experiments.report.report_plots import TimeAxis, following_plots, robot_bars, time_axis
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
 from hitchhike_ros.experiments.scoring.network_rides import network_rides
 from hitchhike_ros.mapping.grid import OccupancyGrid
@@ -16,14 +19,6 @@ from hitchhike_ros.mapping.sites import Sites
 from synthetic_ride import DECOUPLING, END, GAP_ERROR_M, RELEASED, RIDING, synthetic_ride
 
 MARKERS = {0: "p3dx"}
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [(0.0, 10.0, [0, 2, 4, 6, 8, 10]), (-0.03, 0.07, [-0.02, 0, 0.02, 0.04, 0.06]), (3.0, 3.0, [3.0])],
-)
-def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
-    assert nice_ticks(low, high, 5) == pytest.approx(expected)
 
 
 def test_bars_say_what_a_robot_did_and_which_modules_were_on() -> None:
@@ -45,19 +40,32 @@ def test_curves_are_the_errors_that_were_made() -> None:
     record = synthetic_ride()
     axis = time_axis(record)
     gap, lateral = following_plots(record, network_rides(record, MARKERS), MARKERS, axis)
-    assert gap.curves[0].label == "turtlebot behind p3dx"
+    assert gap.legend == lateral.legend == (("turtlebot behind p3dx", 1),)
     for plot, expected in ((gap, GAP_ERROR_M), (lateral, 0.1)):
-        numbers = np.array(
-            [[float(n) for n in pair] for pair in re.findall(r"[ML]([\d.]+) ([\d.]+)", plot.curves[0].path)]
-        )
-        zero, other = (next(t for t in plot.ticks if float(t.text) == v) for v in (0.0, float(plot.ticks[-1].text)))
-        per_metre = (zero.percent - other.percent) / float(other.text)
-        errors = (zero.percent - numbers[:, 1] / 10.0) / per_metre
-        # The camera of a robot 0.1 m to the left is a little farther off than the gap along the corridor.
-        assert np.median(errors) == pytest.approx(expected, abs=0.007)
-        assert 10.0 * axis.percent(RIDING) - 1.0 <= numbers[:, 0].min()
-        assert numbers[:, 0].max() <= 10.0 * axis.percent(DECOUPLING + 1.0)
-        assert len({tick.text for tick in plot.ticks}) == len(plot.ticks)
+        for name, size in SIZES.items():
+            times, errors = drawn(plot.pictures[name], size, axis)
+            # The camera of a robot 0.1 m to the left is a little farther off than the gap along the corridor.
+            assert np.median(errors) == pytest.approx(expected, abs=0.007)
+            assert times.min() >= RIDING - 0.5 and times.max() <= DECOUPLING + 1.0
+
+
+def drawn(picture: str, size: Size, axis: TimeAxis) -> tuple[FloatArray, FloatArray]:
+    """Times and values of the only curve of a picture, by the labels beside it."""
+    root = ElementTree.fromstring(picture)
+    (curve,) = [g.find(f"{{{SVG}}}path") for g in root.iter(f"{{{SVG}}}g") if g.find(f"{{{SVG}}}title") is not None]
+    assert curve is not None
+    points = np.array(re.findall(r"[ML] (\S+) (\S+)", curve.get("d", "")), dtype=float)
+    labels = [(float(t.get("y", "")), t.text or "") for t in root.iter(f"{{{SVG}}}text") if float(t.get("x", "")) < 0.0]
+    (y0, text0), *_, (y1, text1) = labels
+    v0, v1 = (float(text.replace("−", "-")) for text in (text0, text1))
+    baseline = _zero_line(root) - (y0 + (0.0 - v0) * (y1 - y0) / (v1 - v0))  # of a text below its middle
+    values = v0 + (points[:, 1] - baseline - y0) * (v1 - v0) / (y1 - y0)
+    return axis.start + points[:, 0] / size.width * axis.span, values
+
+
+def _zero_line(root: ElementTree.Element) -> float:
+    (zero,) = [p for p in root.iter(f"{{{SVG}}}path") if "stroke: var(--dim)" in p.get("style", "")]
+    return float(zero.get("d", "").split()[2])
 
 
 def test_a_run_in_which_nothing_was_recorded_has_no_picture() -> None:
