@@ -13,16 +13,17 @@ from hitchhike_ros.core.errors import PlanningError
 
 # Tangents are taken over this length to both sides, so that the stairs of a grid path do not shake them.
 _TANGENT_REACH_M = 0.2
-# Points nearer to the one before are left out: a piece needs a direction.
-_SAME_M = 1e-6
+# A corner of a path that is nearer to the one before is left out: what is shorter has no direction.
+_SAME_M = 1e-3
 
 
 class Polyline:
     """Straight pieces through points (N, 2) in m, N >= 1, by arc length s in m.
 
-    The first point is at s = ``start_m``. Arc lengths keep what they say while the path grows at its end and is
-    forgotten at its beginning. Beyond the ends everything is as at the end that is nearer. Questions about one place
-    use plain numbers, which for few points is ten times as fast as arrays; those about many places use arrays.
+    Points nearer than 1 mm to the one before are left out. The first point is at s = ``start_m``. Arc lengths keep what
+    they say while the path grows at its end and is forgotten at its beginning. Beyond the ends everything is as at the
+    end that is nearer. Questions about one place use plain numbers, which for few points is ten times as fast as
+    arrays; those about many places use arrays.
 
     Raises:
         PlanningError: the points are not a finite (N, 2) array with N >= 1.
@@ -50,7 +51,8 @@ class Polyline:
         self._xs, self._ys, self._arcs = [rows[0][0]], [rows[0][1]], [start_m]
         self._arrays: tuple[FloatArray, FloatArray] | None = None
         for x, y in rows[1:]:
-            self.extend(x, y)
+            if math.hypot(x - self._xs[-1], y - self._ys[-1]) > _SAME_M:
+                self.extend(x, y)
 
     @property
     def start_m(self) -> float:
@@ -107,14 +109,16 @@ class Polyline:
         Args:
             x, y: the place sought.
             first, last: arc lengths between which the path is searched. Of places as near as each other the first
-                counts.
+                counts. A corner less than 1 mm beyond ``first`` is passed over, as in :meth:`ahead`.
         """
         start, end = self._arcs[0], self._arcs[-1]
         first = min(max(first, start), end)
         last = max(min(last, end), first)
         ax, ay = self.point(first)
-        arc, nearest, distance = first, first, math.hypot(x - ax, y - ay)
-        k = bisect_right(self._arcs, first)
+        if last - first <= _SAME_M:
+            return first, math.hypot(x - ax, y - ay)
+        arc, nearest, distance = first, first, math.inf
+        k = bisect_right(self._arcs, first + _SAME_M)
         while arc < last:
             to = min(self._arcs[k], last)
             bx, by = (self._xs[k], self._ys[k]) if to == self._arcs[k] else self.point(last)
@@ -160,11 +164,11 @@ class Polyline:
     # Other paths, and this one as it goes on.
 
     def ahead(self, first: float, last: float = math.inf) -> Polyline:
-        """The part between two arc lengths, which keep what they say."""
+        """The part between two arc lengths, which keep what they say; without corners less than 1 mm from its ends."""
         first = min(max(first, self.start_m), self.end_m)
         part = Polyline([self.point(first)], first)
         last = max(min(last, self.end_m), first)
-        begin, end = bisect_right(self._arcs, first + _SAME_M), bisect_left(self._arcs, last)
+        begin, end = bisect_right(self._arcs, first + _SAME_M), bisect_left(self._arcs, last - _SAME_M)
         part._arcs += self._arcs[begin:end]
         part._xs += self._xs[begin:end]
         part._ys += self._ys[begin:end]
@@ -173,10 +177,10 @@ class Polyline:
         return part
 
     def extend(self, x: float, y: float) -> None:
-        """It goes straight on to (x, y); a point where it ends already is left out."""
-        step = math.hypot(x - self._xs[-1], y - self._ys[-1])
-        if step > _SAME_M:
-            self._append(self._arcs[-1] + step, x, y)
+        """It goes straight on to (x, y), however near that is; where it ends already nothing changes."""
+        arc = self._arcs[-1] + math.hypot(x - self._xs[-1], y - self._ys[-1])
+        if arc > self._arcs[-1]:
+            self._append(arc, x, y)
 
     def forget_after(self, s: float) -> None:
         """It ends at arc length ``s``."""

@@ -80,9 +80,9 @@ class Boardings:
             self._at = self._arcs
             return
         places = _places(sites)
-        away, arcs = path.all_nearest(places[:, :2])
+        arcs, away = path.line.project_all(places[:, :2])
         passed = [(arcs[k], places[k, 2]) for k in np.flatnonzero(away <= _SITE_M).tolist()]
-        self._at = np.array([arc for arc, theta in passed if math.cos(path.at(arc).theta - theta) > 0.0])
+        self._at = np.array([arc for arc, theta in passed if math.cos(path.line.pose(arc).theta - theta) > 0.0])
 
     def serve(self, goal: Pose2D) -> bool:
         """Whether a ride longer than T_dhh, from where the robot is on, takes one nearer to ``goal``."""
@@ -139,10 +139,10 @@ def stretch(driver: OwnPath, aligning: Pose2D, leave: tuple[float, float]) -> tu
         ItineraryInputError: either is not on the path ahead, or the path goes another way there; it names which.
     """
     tolerance = _SITE_M + _ROOM_M
-    away, begin_m = driver.nearest(aligning.x, aligning.y, driver.come_m)
-    if away > tolerance or math.cos(driver.at(begin_m).theta - aligning.theta) <= 0.0:
+    begin_m, away = driver.line.project(aligning.x, aligning.y, driver.come_m)
+    if away > tolerance or math.cos(driver.line.pose(begin_m).theta - aligning.theta) <= 0.0:
         raise ItineraryInputError("driver", "aligning", aligning, "a place on its path, heading along it")
-    away, end_m = driver.nearest(*leave, begin_m)
+    end_m, away = driver.line.project(*leave, begin_m)
     if away > tolerance:
         raise ItineraryInputError("driver", "leave", leave, "a place on its path")
     return begin_m, end_m
@@ -218,10 +218,10 @@ def _point(ride: Leg, offer: Accept, sites: Sites, params: HitchhikingParameters
     known = next((p for p in sites.hitchhiking_points if distance(p.waiting_pose, Pose2D(x, y)) < 0.01), None)
     if known is not None:
         return known
-    path = OwnPath(np.array(offer.path)[:, :2])
-    _, arc = path.nearest(x, y)
+    path = OwnPath(np.array(offer.path)[:, :2]).line
+    arc, _ = path.project(x, y)
     apart = params.gap_m - offer.marker_pose.x + _ROOM_M
-    waiting = path.at(arc)
-    if arc + apart > path.length_m:
+    waiting = path.pose(arc)
+    if arc + apart > path.end_m:
         return HitchhikingPoint("", (), compose(waiting, Pose2D(apart)), waiting)
-    return HitchhikingPoint("", (), path.at(arc + apart), waiting)
+    return HitchhikingPoint("", (), path.pose(arc + apart), waiting)

@@ -1,4 +1,4 @@
-"""A robot's own path: where along it places are."""
+"""A robot's own path: simplified, how far along it the robot is, and what it announces of it."""
 
 from __future__ import annotations
 
@@ -10,48 +10,71 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hitchhike_ros.core.datatypes import FloatArray
-from hitchhike_ros.protocol.announcement import OwnPath
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.protocol.announcement import NODES_M, OwnPath, announced_driver
 
-metres = st.floats(-50.0, 50.0, width=32)
-paths = arrays(float, st.tuples(st.integers(1, 12), st.just(2)), elements=metres)
-places = arrays(float, st.tuples(st.integers(0, 8), st.just(2)), elements=metres)
+METRES = st.floats(-50.0, 50.0, width=32)
+PATHS = arrays(float, st.tuples(st.integers(1, 12), st.just(2)), elements=METRES)
+CORNER = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0)])
 
 
-@given(paths, places)
-def test_all_places_at_once_are_each_as_one_by_one(points: FloatArray, at: FloatArray) -> None:
+@given(st.lists(st.tuples(st.floats(0.05, 1.0), st.floats(-1.0, 1.0)), min_size=1, max_size=30))
+def test_the_simplified_path_is_nowhere_far_from_the_plan(steps: list[tuple[float, float]]) -> None:
+    """As of a plan: it does not come back to where it was."""
+    points = np.vstack([(0.0, 0.0), np.cumsum(steps, axis=0)])
+    line = OwnPath(points).line
+    _, away = line.project_all(points)
+    assert away.max() < 0.16
+    assert (line.points[0].tolist(), math.dist(line.points[-1], points[-1]) < 2e-3) == (points[0].tolist(), True)
+
+
+def test_a_straight_plan_is_two_points_and_a_corner_stays() -> None:
+    straight = np.column_stack([np.linspace(0.0, 8.0, 161), np.zeros(161)])
+    assert OwnPath(straight).line.points.tolist() == [[0.0, 0.0], [8.0, 0.0]]
+    bent = OwnPath(np.vstack([straight, [(8.0, 3.0)]]))
+    assert bent.line.points.tolist() == [[0.0, 0.0], [8.0, 0.0], [8.0, 3.0]]
+
+
+def test_it_comes_along_its_path_and_never_back() -> None:
+    path = OwnPath(CORNER)
+    assert path.advance(Pose2D(3.0, 0.2))
+    assert (path.come_m, path.left_m) == (pytest.approx(3.0), pytest.approx(12.0))
+    assert path.advance(Pose2D(2.0, 0.0))
+    assert path.come_m == pytest.approx(3.0)
+    assert path.advance(Pose2D(10.3, 2.0))
+    assert path.come_m == pytest.approx(12.0)
+    assert not path.advance(Pose2D(10.0, 6.6))
+    assert path.come_m == pytest.approx(12.0)
+    assert path.advance(Pose2D(10.0, 6.4))
+    assert path.left_m == 0.0
+
+
+def test_what_is_announced_is_what_is_ahead_with_times_from_now_on() -> None:
+    path = OwnPath(CORNER)
+    path.advance(Pose2D(4.0, 0.0))
+    expected = [(4.0, 0.0, 3.0), (10.0, 0.0, 15.0), (10.0, 5.0, 25.0)]
+    assert [tuple(point) for point in path.waypoints(0.5, in_s=3.0)] == [pytest.approx(point) for point in expected]
+    path.come_m = 9.9995  # so near a corner is passed over
+    assert [tuple(point) for point in path.waypoints(0.5)] == [
+        pytest.approx(point) for point in [(9.9995, 0.0, 0.0), (10.0, 5.0, 10.001)]
+    ]
+    path.advance(Pose2D(10.0, 5.0))
+    assert path.waypoints(0.5) == ()
+    assert OwnPath(np.array([(1.0, 2.0)])).waypoints(0.5) == ()
+
+
+@given(PATHS)
+def test_nodes_are_no_farther_apart_than_where_a_ride_may_end(points: FloatArray) -> None:
     path = OwnPath(points)
-    away, arcs = path.all_nearest(at)
-    assert away.shape == arcs.shape == (len(at),)
-    for (x, y), one_away, arc in zip(at.tolist(), away.tolist(), arcs.tolist(), strict=True):
-        expected_away, expected_arc = path.nearest(x, y)
-        assert one_away == pytest.approx(expected_away, abs=1e-6)
-        # Where two places of the path are as near, either may be found.
-        there = path.at(arc)
-        assert math.dist((there.x, there.y), (x, y)) == pytest.approx(one_away, abs=1e-6)
-        assert arc == pytest.approx(expected_arc, abs=1e-6) or one_away <= expected_away + 1e-9
+    nodes, arcs = path.nodes()
+    assert (arcs[0], arcs[-1]) == (0.0, path.line.end_m)
+    assert np.diff(arcs).max() <= NODES_M + 1e-9
+    assert nodes == pytest.approx(path.line.at(arcs))
 
 
-@given(paths, places)
-def test_no_place_of_the_path_is_nearer(points: FloatArray, at: FloatArray) -> None:
-    path = OwnPath(points)
-    away, arcs = path.all_nearest(at)
-    along = [path.at(arc) for arc in np.linspace(0.0, path.length_m, 50)]
-    for place, one in zip(at.tolist(), away.tolist(), strict=True):
-        assert one <= min(math.dist((p.x, p.y), place) for p in along) + 1e-6
-    assert ((arcs >= 0.0) & (arcs <= path.length_m + 1e-9)).all()
-
-
-def test_places_along_a_corner() -> None:
-    path = OwnPath(np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 5.0)]))
-    away, arcs = path.all_nearest(np.array([(3.0, 4.0), (-3.0, -4.0), (11.0, 3.0), (10.0, 9.0)]))
-    assert away == pytest.approx([4.0, 5.0, 1.0, 4.0])
-    assert arcs == pytest.approx([3.0, 0.0, 13.0, 15.0])
-
-
-def test_a_path_of_one_point_and_no_places() -> None:
-    away, arcs = OwnPath(np.array([(1.0, 2.0)])).all_nearest(np.array([(4.0, 6.0), (1.0, 2.0)]))
-    assert (away.tolist(), arcs.tolist()) == ([5.0, 0.0], [0.0, 0.0])
-    for points in ([(1.0, 2.0)], [(1.0, 2.0), (3.0, 2.0)]):
-        away, arcs = OwnPath(np.array(points)).all_nearest(np.empty((0, 2)))
-        assert away.shape == arcs.shape == (0,)
+def test_a_path_that_was_announced_has_nodes_along_the_way() -> None:
+    driver = announced_driver("p3dx", OwnPath(CORNER).waypoints(0.5, in_s=2.0), 100.0, 2, 0.6)
+    steps = np.hypot(*np.diff(driver.path, axis=0).T)
+    assert (len(driver.path), steps.max()) == (7, pytest.approx(2.5))
+    assert driver.path[[0, 4, -1]].tolist() == CORNER.tolist()
+    assert driver.times == pytest.approx(102.0 + np.arange(7) * 5.0)

@@ -238,7 +238,7 @@ class DriverMachine(Machine[DriverState]):
             return self._path.waypoints(self.params.cruise_speed_mps)
         assert self.offer is not None
         ends = [(pose.x, pose.y) for pose in (self.offer.point.waiting_pose, self.offer.point.aligning_pose)]
-        onward = OwnPath(np.vstack([ends, self._path.ahead(self._board_m)[0][1:]]))
+        onward = OwnPath(np.vstack([ends, self._path.line.ahead(self._board_m).points[1:]]))
         return onward.waypoints(self.params.ride_speed_mps, self._to_board_m() / self.speed_limit_mps)
 
     # Actions of the table, in its order.
@@ -619,7 +619,7 @@ class DriverMachine(Machine[DriverState]):
         point = next(known, HitchhikingPoint("", (), lock.aligning, lock.waiting))
         self._board_m = begin_m
         self._way_s = self.params.patience_s + 2.0 * self._to_board_m() / self.params.cruise_speed_mps
-        return Offer(lock.robot_id, lock.ride_id, point, end_m - begin_m, path.at(end_m))
+        return Offer(lock.robot_id, lock.ride_id, point, end_m - begin_m, path.line.pose(end_m))
 
     def _offer_to_join(self, lock: Lock) -> Offer | Reason:
         """As of :meth:`_offer_of`, for one that boards where the first rider does."""
