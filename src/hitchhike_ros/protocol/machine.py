@@ -12,7 +12,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from enum import Enum
-from typing import Any, ClassVar, Generic, TypeVar
+from functools import cached_property
+from inspect import signature
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 from hitchhike_ros.core.errors import TransitionError
 from hitchhike_ros.protocol.events import Effect, Report, Send, Situation, Tick
@@ -31,6 +33,7 @@ Guard = Callable[[Any], bool]
 class Facts:
     """What every machine knows. Machines add their own, those of single phases with :func:`of_phases`."""
 
+    state: Any = None
     now: float = 0.0
     entered: float = 0.0  # when it came to the present state
     situation: Situation = field(default_factory=Situation)
@@ -65,18 +68,22 @@ class Deadline:
 class Row:
     """In one of ``states``, ``on`` an event or a deadline, where all guards (``when``) hold: do ``action``, go ``to``.
 
-    The action is the name of a method that takes the event (nothing, after a deadline). It runs in the state that the
-    row leads to, and finds the facts of the phase that is left. ``why`` becomes the machine's ending, where it is None
+    Actions are methods, by name and one after another, which take the event or nothing. They run in the state that the
+    row leads to, and find the facts of the phase that is left. ``why`` becomes the machine's ending, where it is None
     the ending stays as it is; an action may say more. Rows without a target stay: time in the state runs on. With its
     own state as target a state begins anew.
     """
 
     states: tuple[Any, ...]
     on: type | Deadline
-    action: str | None = None
+    action: str | tuple[str, ...] | None = None
     to: Any = None
     when: tuple[Guard, ...] = ()
     why: Reason | None = Reason.NONE
+
+    @cached_property
+    def actions(self) -> tuple[str, ...]:
+        return (self.action,) if isinstance(self.action, str) else self.action or ()
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,10 @@ class Do:
     states: tuple[Any, ...]
     action: str
     when: tuple[Guard, ...] = ()
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        return (self.action,)
 
 
 class Table:
@@ -114,6 +125,8 @@ class Machine(Generic[S, F]):
     INITIAL: ClassVar[Any]
     ROWS: ClassVar[tuple[Row | Do, ...]]
     TABLE: ClassVar[Table]
+    TAKE_EVENT: ClassVar[frozenset[str]]
+    """Of the table's methods those that take the event."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Check and arrange the table.
@@ -126,16 +139,22 @@ class Machine(Generic[S, F]):
         if "ROWS" in cls.__dict__:
             check(cls)
             cls.TABLE = Table(cls.ROWS)
+            names = {name for row in cls.ROWS for name in row.actions}
+            cls.TAKE_EVENT = frozenset(name for name in names if len(signature(getattr(cls, name)).parameters) > 1)
 
     def __init__(self, facts: F) -> None:
-        self.state: S = self.INITIAL
-        self.ending = NONE  # why it is in this state
+        self.ending = NONE  # why it is in its state
         self.facts = facts
+        facts.state = self.INITIAL
         self.ignored = 0  # messages that arrived in a state that has no use for them
         self._effects: list[Effect] = []
         self._due: dict[str, float] = {}
         self._last_words: list[tuple[float, Message]] = []
         self._of_phases = {f.name: f.metadata["phases"] for f in fields(facts) if "phases" in f.metadata}
+
+    @property
+    def state(self) -> S:
+        return cast(S, self.facts.state)
 
     def step(self, event: object, now: float) -> list[Effect]:
         """Take one event.
@@ -186,10 +205,10 @@ class Machine(Generic[S, F]):
 
     def _take(self, row: Row, *event: object) -> None:
         if row.to is not None:
-            self.state, self.facts.entered, self._due = row.to, self.facts.now, {}
+            self.facts.state, self.facts.entered, self._due = row.to, self.facts.now, {}
             self.ending = self.ending if row.why is None else Ending(row.why)
-        if row.action is not None:
-            getattr(self, row.action)(*event)
+        for action in row.actions:
+            getattr(self, action)(*event if action in self.TAKE_EVENT else ())
         if row.to is not None:
             for name, phases in self._of_phases.items():
                 if row.to.phase not in phases and row.to not in phases:
@@ -253,9 +272,8 @@ def check(machine: type[Machine[Any, Any]]) -> None:
 def _senseless_rows(machine: type[Machine[Any, Any]]) -> Iterator[str]:
     states: type[Enum] = type(machine.INITIAL)
     for row in machine.ROWS:
-        if row.action is not None and not callable(getattr(machine, row.action, None)):
-            yield f"there is no method {row.action}"
-        elif row.action is None and (isinstance(row, Do) or row.to is None):
+        yield from (f"there is no method {name}" for name in row.actions if not callable(getattr(machine, name, None)))
+        if not row.actions and (isinstance(row, Do) or row.to is None):
             yield f"nothing is done in {row}"
         for state in (*row.states, *([row.to] if isinstance(row, Row) and row.to is not None else [])):
             if not isinstance(state, states):

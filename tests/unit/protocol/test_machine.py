@@ -55,7 +55,7 @@ ROWS = (
     Row((S.ASKING,), Tick, "_shine", S.ON, (powered,)),
     Do((S.ASKING,), "_complain"),
     Row((S.ASKING,), WAITED, "_say_why", S.OFF, why=Reason.DRIVER_LATE),
-    Row((S.ON,), Terminate, "_end", S.OFF),
+    Row((S.ON,), Terminate, ("_mourn", "_end"), S.OFF),
     Row((S.ON,), GoalGiven, None, S.ON),
 )
 
@@ -81,8 +81,10 @@ class Lamp(Machine[State, LampFacts]):
     def _say_why(self) -> None:
         self._report(self.ending)
 
-    def _end(self, message: Terminate) -> None:
+    def _mourn(self) -> None:
         self._report(f"{self.facts.asked} are forgotten")
+
+    def _end(self, message: Terminate) -> None:
         self.ending = Ending.told(message.reason)
 
 
