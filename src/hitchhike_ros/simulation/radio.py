@@ -1,4 +1,4 @@
-"""The radio between simulated robots: which copies of a message arrive, and when.
+"""The radio between simulated robots: which copies of a message arrive, and when; and those that are under way.
 
 The grid simulator and the node ``network_model`` ask the same model. What happens to the n-th message from one robot
 to another depends on the seed, on the two and on n alone: more messages elsewhere, or more loss, leave it as it is, so
@@ -8,9 +8,12 @@ that runs can be compared message by message.
 from __future__ import annotations
 
 import hashlib
+import heapq
 import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Annotated
+from typing import Annotated, Generic, TypeVar
 
 import msgspec
 
@@ -19,6 +22,7 @@ from hitchhike_ros.core.errors import ParameterError
 from hitchhike_ros.core.parameters import convert
 
 Seed = Annotated[int, msgspec.Meta(ge=0)]
+T = TypeVar("T")
 
 # SplitMix64: a stream is one integer, so that a pair costs a hundred bytes, and random.Random's 2.5 kB times the pairs
 # of a thousand robots are saved. https://doi.org/10.1145/2714064.2660195
@@ -42,8 +46,9 @@ class Partition:
 class NetworkParameters:
     """What the network does to each message from one robot to another; the defaults leave it as it is.
 
-    Seconds are of the simulated clock. ``loss``, ``duplication`` and ``reordering`` are probabilities: that no copy
-    arrives, that two do, and, for each copy, that it takes ``reorder_delay_s`` longer, so that later ones overtake it.
+    Seconds are of the simulated clock, or count from the start on the system's. ``loss``, ``duplication`` and
+    ``reordering`` are probabilities: that no copy arrives, that two do, and, for each copy, that it takes
+    ``reorder_delay_s`` longer, so that later ones overtake it.
     """
 
     range_m: NonNegative = math.inf
@@ -145,6 +150,109 @@ class NetworkModel:
             place = int.from_bytes(hashlib.blake2b(name, digest_size=8).digest(), "little")
         streams[receiver] = (place + 3 * _STEP) & _64_BITS
         return place
+
+
+COUNTED = ("sent", "delivered", "lost", "doubled", "out_of_reach", "overflowed")
+"""What a radio counts, of each pair of robots."""
+
+
+class Radio(Generic[T]):
+    """Carries messages between robots: each copy is under way until its time has come.
+
+    Args:
+        model: decides over each message.
+        robots: who hears and is heard.
+        max_waiting: copies that may be under way at once; those beyond are lost.
+        start_s: where the time begins of which the model's partitions are.
+    """
+
+    def __init__(self, model: NetworkModel, robots: Sequence[str], max_waiting: int, start_s: float = 0.0) -> None:
+        self.counts: Counter[tuple[str, str, str]] = Counter()
+        """Of what, sender and receiver."""
+        self.latest_s = 0.0
+        """How late the latest delivery was."""
+        self._model, self._robots, self._max_waiting, self._start_s = model, tuple(robots), max_waiting, start_s
+        self._places: dict[str, tuple[float, float]] = {}
+        self._under_way: list[tuple[float, int, str, str, T]] = []  # a heap
+        self._pushed = 0
+        self._now = -math.inf
+
+    @property
+    def waiting(self) -> int:
+        """Copies under way."""
+        return len(self._under_way)
+
+    def place(self, robot: str, x: float, y: float) -> None:
+        """Where a robot is, in m."""
+        self._places[robot] = x, y
+
+    def send(self, now: float, sender: str, message: T) -> None:
+        """Put the copies of a message under way that reach the other robots; ``now`` as in :meth:`arrived`."""
+        self._take_time(now)
+        for receiver in self._robots:
+            if receiver != sender:
+                self._send(now - self._start_s, sender, receiver, message)
+
+    def arrived(self, now: float) -> Iterator[tuple[str, T]]:
+        """Receiver and message of each copy that has arrived by ``now``, in that order.
+
+        When time jumps back the simulation has begun anew, and what was under way is lost.
+        """
+        self._take_time(now)
+        while self._under_way and self._under_way[0][0] <= now - self._start_s:
+            at, _, sender, receiver, message = heapq.heappop(self._under_way)
+            self.counts["delivered", sender, receiver] += 1
+            self.latest_s = max(self.latest_s, now - self._start_s - at)
+            yield receiver, message
+
+    def totals(self) -> dict[str, int]:
+        """What is counted, of all pairs together."""
+        totals = dict.fromkeys(COUNTED, 0)
+        for (what, _, _), number in self.counts.items():
+            totals[what] += number
+        return totals
+
+    def diagnosis(self) -> tuple[bool, str, dict[str, object]]:
+        """Whether all is well, what to say of it, and the values of the diagnostics."""
+        totals = self.totals()
+        overflowed = totals["overflowed"]
+        values: dict[str, object] = {
+            **totals,
+            "waiting": self.waiting,
+            "latest_s": f"{self.latest_s:.3f}",
+            **{f"{what}_{sender}_to_{receiver}": count for (what, sender, receiver), count in self.counts.items()},
+        }
+        return not overflowed, f"{overflowed} copies more than ~max_waiting" if overflowed else "running", values
+
+    def _take_time(self, now: float) -> None:
+        if now < self._now:
+            self._under_way.clear()
+        self._now = now
+
+    def _send(self, now: float, sender: str, receiver: str, message: T) -> None:
+        """``now`` is of the model's time."""
+        counts, distance_m = self.counts, self._distance(sender, receiver)
+        counts["sent", sender, receiver] += 1
+        if not self._model.reaches(now, sender, receiver, distance_m):
+            counts["out_of_reach", sender, receiver] += 1
+            return
+        arrivals = self._model.deliveries(now, sender, receiver, distance_m)
+        if not arrivals:
+            counts["lost", sender, receiver] += 1
+        elif len(arrivals) > 1:
+            counts["doubled", sender, receiver] += 1
+        for at in arrivals:
+            if len(self._under_way) < self._max_waiting:
+                self._pushed += 1
+                heapq.heappush(self._under_way, (at, self._pushed, sender, receiver, message))
+            else:
+                counts["overflowed", sender, receiver] += 1
+
+    def _distance(self, sender: str, receiver: str) -> float:
+        """Between the two in m; without end where one has not been seen yet."""
+        if sender not in self._places or receiver not in self._places:
+            return math.inf
+        return math.dist(self._places[sender], self._places[receiver])
 
 
 def _mixed(place: int) -> int:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.core.errors import ParameterError
 from hitchhike_ros.core.parameters import load_parameters
-from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters, Partition
+from hitchhike_ros.simulation.radio import COUNTED, NetworkModel, NetworkParameters, Partition, Radio
 
 CLEAN = NetworkParameters()
 SHARE = st.floats(0.0, 1.0)
@@ -234,3 +234,83 @@ def test_parameters_as_a_file_has_them() -> None:
     params = load_parameters(NetworkParameters, "network", overrides=given_)
     assert params == NetworkParameters(loss=0.3, partitions=(Partition(1.0, 2.0, (("a",), ("b", "c"))),))
     assert NetworkModel(params).params == params
+
+
+def radio(start_s: float = 0.0, max_waiting: int = 100, **network: Any) -> Radio[str]:
+    return Radio(NetworkModel(NetworkParameters(**network)), ["a", "b", "c"], max_waiting, start_s)
+
+
+def heard(air: Radio[str], now: float) -> list[tuple[str, str]]:
+    return list(air.arrived(now))
+
+
+def test_all_but_the_sender_hear_a_message_when_its_time_has_come() -> None:
+    air = radio(delay_s=2.0)
+    for robot in "abc":
+        air.place(robot, 0.0, 0.0)
+    air.send(10.0, "b", "first")
+    air.send(11.0, "a", "second")
+    assert (heard(air, 11.9), air.waiting) == ([], 4)
+    assert heard(air, 12.5) == [("a", "first"), ("c", "first")]
+    assert air.latest_s == pytest.approx(0.5)
+    assert heard(air, 13.0) == [("b", "second"), ("c", "second")]
+    assert heard(air, 99.0) == []
+    assert air.totals() == {**dict.fromkeys(COUNTED, 0), "sent": 4, "delivered": 4}
+
+
+def test_who_is_far_away_or_has_not_been_seen_hears_nothing() -> None:
+    air = radio(range_m=5.0)
+    air.place("a", 0.0, 0.0)
+    air.place("b", 3.0, 4.0)
+    air.send(1.0, "a", "hello")
+    assert heard(air, 1.0) == [("b", "hello")]
+    air.place("b", 3.0, 4.1)
+    air.send(2.0, "a", "hello")
+    assert heard(air, 2.0) == []
+    assert air.counts["out_of_reach", "a", "c"] == 2
+    assert air.counts["out_of_reach", "a", "b"] == 1
+
+
+def test_copies_are_counted_and_the_air_may_be_full() -> None:
+    air = radio(max_waiting=3, duplication=1.0, delay_s=1.0)
+    for robot in "abc":
+        air.place(robot, 0.0, 0.0)
+    air.send(0.0, "a", "x")
+    assert air.totals() == {"sent": 2, "delivered": 0, "lost": 0, "doubled": 2, "out_of_reach": 0, "overflowed": 1}
+    well, text, values = air.diagnosis()
+    assert (well, text) == (False, "1 copies more than ~max_waiting")
+    assert (values["waiting"], values["doubled_a_to_b"], values["latest_s"]) == (3, 1, "0.000")
+    assert [receiver for receiver, _ in heard(air, 1.0)] == ["b", "b", "c"]
+    assert radio().diagnosis()[:2] == (True, "running")
+
+
+def test_what_is_lost_is_counted() -> None:
+    air = radio(loss=1.0)
+    for robot in "abc":
+        air.place(robot, 0.0, 0.0)
+    air.send(0.0, "a", "x")
+    assert (heard(air, 9.0), air.totals()["lost"]) == ([], 2)
+
+
+def test_a_clock_that_jumps_back_ends_what_is_under_way() -> None:
+    air = radio(delay_s=5.0)
+    for robot in "abc":
+        air.place(robot, 0.0, 0.0)
+    air.send(100.0, "a", "old")
+    assert heard(air, 1.0) == []
+    air.send(2.0, "a", "new")
+    assert {text for _, text in heard(air, 200.0)} == {"new"}
+
+
+def test_partitions_count_from_the_start() -> None:
+    partition = Partition(10.0, 20.0, (("a",), ("b", "c")))
+    air = radio(start_s=1.7e9, delay_s=0.5, partitions=(partition,))
+    for robot in "abc":
+        air.place(robot, 0.0, 0.0)
+    air.send(1.7e9 + 5.0, "a", "before")
+    assert heard(air, 1.7e9 + 5.4) == []
+    assert heard(air, 1.7e9 + 5.5) == [("b", "before"), ("c", "before")]
+    air.send(1.7e9 + 15.0, "a", "apart")
+    assert heard(air, 1.7e9 + 16.0) == []
+    air.send(1.7e9 + 20.0, "a", "after")
+    assert len(heard(air, 1.7e9 + 21.0)) == 2

@@ -22,20 +22,17 @@ Parameters:
     ~range_m (m, inf), ~delay_s (s, 0), ~jitter_s (s, 0: each copy takes longer by 0 to this), ~loss, ~duplication,
     ~reordering (probabilities, 0), ~reorder_delay_s (s, 1: of a copy that is reordered), ~seed (0)
     ~partitions (default none): [{begin_s, end_s, groups: [[robot, ...], ...]}, ...]; robots of different groups do not
-        hear each other, those in no group hear all and are heard by all
+        hear each other, those in no group hear all and are heard by all; on the system's clock times count from the
+        start of this node
     ~config (path), section ``network``: a file with any of these fields
 TF: none.
 """
 
 from __future__ import annotations
 
-import heapq
 import math
 import threading
-from collections import Counter
 from dataclasses import dataclass
-from functools import partial
-from itertools import count
 from typing import Annotated
 
 import msgspec
@@ -49,7 +46,7 @@ from hitchhike_ros.core.errors import ParameterError
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 from hitchhike_ros.ros_io.timer import Timer
-from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters
+from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters, Radio
 from hitchhike_ros.simulation.world_file import load_world
 
 _QUEUE = 200
@@ -64,116 +61,54 @@ class NetworkNodeParameters:
 
 
 class NetworkModelNode:
-    """Callbacks ask the model and put copies under way; a timer on simulated time delivers them."""
+    """Callbacks hand messages to the radio; a timer brings what has arrived."""
 
     def __init__(self) -> None:
-        self._params = node_parameters(NetworkNodeParameters, "network_model")
-        self._model = NetworkModel(node_parameters(NetworkParameters, "network"), rospy.get_name())
-        self._robots = _robots()
-        self._lock = threading.Lock()
-        self._places: dict[str, tuple[float, float]] = {}
-        self._under_way: list[tuple[float, int, str, str, String]] = []  # a heap
-        self._order = count()
-        self._now = self._latest_s = 0.0
-        self._counts: Counter[tuple[str, str, str]] = Counter()  # (what, sender, receiver)
+        params = node_parameters(NetworkNodeParameters, "network_model")
+        model = NetworkModel(node_parameters(NetworkParameters, "network"), rospy.get_name())
+        robots = _robots()
+        start_s = rospy.get_time() if rospy.rostime.is_wallclock() else 0.0
+        self._radio = Radio[String](model, robots, params.max_waiting, start_s)
+        self._lock = threading.Lock()  # of the radio
         self._diagnostics = Diagnostics("network_model")
         self._said = rospy.Publisher("/hhike_msg/network", String, queue_size=_QUEUE, tcp_nodelay=True)
         self._heard = {
             robot: rospy.Publisher(f"/{robot}/hhike_msg/network_in", String, queue_size=_QUEUE, tcp_nodelay=True)
-            for robot in self._robots
+            for robot in robots
         }
         self._subscribers = [
             rospy.Subscriber(
                 f"/{robot}/hhike_msg/network_out", String, self._on_message, robot, queue_size=_QUEUE, tcp_nodelay=True
             )
-            for robot in self._robots
+            for robot in robots
         ]
-        if math.isfinite(self._model.params.range_m):
+        if math.isfinite(model.params.range_m):
             self._subscribers += [
                 rospy.Subscriber(f"/{robot}/ground_truth", Odometry, self._on_truth, robot, queue_size=1)
-                for robot in self._robots
+                for robot in robots
             ]
         self._report()
-        self._timers = [
-            Timer(1.0 / self._params.rate, self._on_timer),
-            Timer(1.0, self._report),
-        ]
+        self._timers = [Timer(1.0 / params.rate, self._deliver), Timer(1.0, self._report)]
 
     def _on_truth(self, msg: Odometry, robot: str) -> None:
         with self._lock:
-            self._places[robot] = msg.pose.pose.position.x, msg.pose.pose.position.y
+            self._radio.place(robot, msg.pose.pose.position.x, msg.pose.pose.position.y)
 
     def _on_message(self, msg: String, sender: str) -> None:
         self._said.publish(msg)
         with self._lock:
-            now = self._read_clock()
-            for receiver in self._robots:
-                if receiver != sender:
-                    self._send(now, sender, receiver, msg)
-            self._deliver(now)
+            self._radio.send(rospy.get_time(), sender, msg)
+        self._deliver()
 
-    def _on_timer(self) -> None:
+    def _deliver(self) -> None:
         with self._lock:
-            self._deliver(self._read_clock())
-
-    def _read_clock(self) -> float:
-        now = rospy.get_time()
-        if now < self._now:  # the simulation has begun anew
-            self._under_way.clear()
-        self._now = now
-        return now
-
-    def _send(self, now: float, sender: str, receiver: str, msg: String) -> None:
-        """Put the copies that arrive under way."""
-        tell = partial(self._tell, sender=sender, receiver=receiver)
-        tell("sent")
-        distance_m = self._distance(sender, receiver)
-        if not self._model.reaches(now, sender, receiver, distance_m):
-            tell("out_of_reach")
-            return
-        arrivals = self._model.deliveries(now, sender, receiver, distance_m)
-        if not arrivals:
-            tell("lost")
-        elif len(arrivals) > 1:
-            tell("doubled")
-        for at in arrivals:
-            if len(self._under_way) < self._params.max_waiting:
-                heapq.heappush(self._under_way, (at, next(self._order), sender, receiver, msg))
-            else:
-                tell("overflowed")
-
-    def _deliver(self, now: float) -> None:
-        """Publish what has arrived by now, in that order."""
-        while self._under_way and self._under_way[0][0] <= now:
-            at, _, sender, receiver, msg = heapq.heappop(self._under_way)
-            self._heard[receiver].publish(msg)
-            self._tell("delivered", sender, receiver)
-            self._latest_s = max(self._latest_s, now - at)
-
-    def _distance(self, sender: str, receiver: str) -> float:
-        """Between the two in m; without end where one has not been seen yet."""
-        if sender not in self._places or receiver not in self._places:
-            return math.inf
-        return math.dist(self._places[sender], self._places[receiver])
-
-    def _tell(self, what: str, sender: str, receiver: str) -> None:
-        self._counts[what, sender, receiver] += 1
+            for receiver, msg in self._radio.arrived(rospy.get_time()):
+                self._heard[receiver].publish(msg)
 
     def _report(self) -> None:
         with self._lock:
-            counts, waiting, latest_s = dict(self._counts), len(self._under_way), self._latest_s
-        totals = dict.fromkeys(("sent", "delivered", "lost", "doubled", "out_of_reach", "overflowed"), 0)
-        for (what, _, _), number in counts.items():
-            totals[what] += number
-        overflowed = totals["overflowed"]
-        self._diagnostics.set(
-            WARN if overflowed else OK,
-            f"{overflowed} copies more than ~max_waiting" if overflowed else "running",
-            **totals,
-            waiting=waiting,
-            latest_s=f"{latest_s:.3f}",
-            **{f"{what}_{sender}_to_{receiver}": number for (what, sender, receiver), number in counts.items()},
-        )
+            well, text, values = self._radio.diagnosis()
+        self._diagnostics.set(OK if well else WARN, text, **values)
 
 
 def _robots() -> list[str]:
