@@ -1,10 +1,11 @@
-"""The driver's track, which its rider knows twice: as its camera saw it, and as it was told; so it knows its own pose.
+"""The rider's own pose, from the driver's track as the rider's camera saw it and as the driver told it.
 
 A single look at a marker that is nearly square-on says little of its yaw: the outline of a square changes with the
-square of the angle. Where the marker *is*, however, is seen to millimetres. Over some metres of a ride these places,
-joined with the own wheel odometry, form the same curve that the driver's messages tell in ``map``. What lays one on
-the other is the pose of the own odometry frame: its heading improves the handover, and a rider that has lost its driver
-starts from all of it. Chosen: the papers take both to be in line (P18 Eq. 20; P17 §4).
+square of the angle. The camera sees to millimetres, however, where the marker *is*. Over some metres of a ride these
+places, joined with the own wheel odometry, form the same curve that the driver's messages tell in ``map``. The motion
+that lays one curve on the other is the pose of the own odometry frame. Its heading improves the handover, and a rider
+that has lost its driver starts from the whole pose. This is chosen: the papers take both robots to be in line (P18
+Eq. 20; P17 §4).
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ class DriverTrack:
         self._places: deque[tuple[Pose2D, Pose2D]] = deque()
 
     def add(self, T_odom_marker: Pose2D, T_map_marker: Pose2D) -> None:
-        """The marker as seen in the own ``odom`` frame, and as told in ``map`` at the same time; only places count."""
+        """Adds a place of the marker, as seen in the own ``odom`` frame and as told in ``map`` at the same time.
+
+        The headings of both poses are ignored.
+        """
         if self._places and distance(self._places[-1][0], T_odom_marker) < _STEP_M:
             return
         self._places.append((T_odom_marker, T_map_marker))
@@ -43,7 +47,7 @@ class DriverTrack:
             self._places.popleft()
 
     def turn(self) -> tuple[float, float] | None:
-        """Heading of ``odom`` in ``map`` in rad, and its variance; None while the track is too short."""
+        """Returns the heading of ``odom`` in ``map`` in rad and its variance, or None while the track is too short."""
         if len(self._places) < _FEWEST or distance(self._places[0][0], self._places[-1][0]) < _SHORTEST_M:
             return None
         seen, told = self._tracks()
@@ -56,7 +60,7 @@ class DriverTrack:
         return turn, place / float(np.sum(seen**2)) + _DRIFT_SIGMA_RAD**2
 
     def locate(self, stamp: float, T_odom_h: Pose2D) -> PoseEstimate | None:
-        """The own pose in ``map`` from that in ``odom``; None as :meth:`turn`."""
+        """Returns the own pose in ``map`` from that in ``odom``, or None while the track is too short."""
         turn = self.turn()
         if turn is None:
             return None
@@ -76,12 +80,13 @@ class DriverTrack:
 def with_heading(
     observation: MarkerObservation, marker_heading: float, heading: float, variance: float
 ) -> MarkerObservation:
-    """The observation, its yaw improved by the own heading known otherwise.
+    """Improves the yaw of an observation by the own heading, which is known from elsewhere.
 
     Args:
         observation: T_h_marker as seen.
         marker_heading: direction of the marker's normal in ``map``, rad.
-        heading: the own heading in ``map`` in rad, of that variance.
+        heading: the own heading in ``map``, rad.
+        variance: of that heading, rad².
     """
     innovation = wrap_angle(marker_heading - heading - observation.pose.theta)
     gain = observation.covariance[:, 2] / (observation.covariance[2, 2] + variance)

@@ -69,7 +69,7 @@ class Ekf:
         """``covariance`` is (3, 3), symmetric and positive semi-definite.
 
         Raises:
-            ValueError: the mean is not finite or the covariance is none.
+            ValueError: the mean is not finite or the covariance is no covariance.
         """
         self._P = check_gaussian(mean, covariance)
         self._parameters = parameters or EkfParameters()
@@ -129,7 +129,7 @@ class Ekf:
         return self._update(innovation, H, observation.covariance)
 
     def update_information(self, information: FloatArray, vector: FloatArray) -> None:
-        """Correct by a direct measurement z of the pose, known well perhaps only in some directions.
+        """Correct by a direct measurement z of the pose, which may be known well only in some directions.
 
         Args:
             information: inverse covariance A (3, 3) of the measurement in (x, y, theta), positive semi-definite.
@@ -192,9 +192,9 @@ def expected_landmarks(pose: Pose2D, positions: FloatArray) -> tuple[FloatArray,
 
 
 def expected_from(poses: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As :func:`expected_landmarks`, (K, N, 2) and (K, N, 2, 3), from each of the poses (K, 3)."""
+    """The same as :func:`expected_landmarks` from each of the poses (K, 3): (K, N, 2) and (K, N, 2, 3)."""
     dx, dy = (positions[:, axis] - poses[:, axis, None] for axis in (0, 1))
-    q = np.maximum(dx * dx + dy * dy, 1e-12)  # on top of a landmark its bearing means nothing
+    q = np.maximum(dx * dx + dy * dy, 1e-12)  # a landmark under the robot has no bearing
     r = np.sqrt(q)
     expected, H = np.empty((*q.shape, 2)), np.zeros((*q.shape, 2, 3))
     expected[..., 0], expected[..., 1] = r, wrap_angles(np.arctan2(dy, dx) - poses[:, 2, None])

@@ -1,4 +1,4 @@
-"""Corners as landmarks: out of the robot's own map once, out of each scan by line extraction."""
+"""Corners as landmarks: found once in the robot's own map, and in each scan by line extraction."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class CornerParameters:
 
 
 def map_corners(grid: OccupancyGrid, parameters: CornerParameters) -> Landmarks:
-    """Corners of the walls in a grid, where both sides are straight for a while.
+    """Corners of the walls in a grid, of those whose two sides are straight for a while.
 
     At a convex corner one of the four cells that meet is occupied, at a concave one it is the only free one; the two
     sides run from there along that cell. The signature is CONVEX or CONCAVE. Ragged walls have few such corners.

@@ -1,4 +1,4 @@
-"""What every way to localize has in common: odometry, late messages, the map's markers."""
+"""What all localizers share: odometry, messages that come late, the markers of the map."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class LocalizerParameters:
     laser: LaserNoise = field(default_factory=LaserNoise)
     corners: CornerParameters = field(default_factory=CornerParameters)
     alignment: AlignmentParameters = field(default_factory=AlignmentParameters)
-    corner_share: UnitInterval = 0.2  # of a scan's information that its corners carry; the walls carry the rest
-    corners_every: Count = 5  # scans: corners take most of the time and say little that walls do not
+    corner_share: UnitInterval = 0.2  # share of a scan's information that its corners carry; the walls carry the rest
+    corners_every: Count = 5  # every so many scans; corners take most of the time and add little to walls
     odometry: PoseBufferParameters = field(default_factory=PoseBufferParameters)
     particles: ParticleParameters = field(default_factory=ParticleParameters)
 
@@ -84,17 +84,17 @@ class Localizer(ABC):
         return self._explained
 
     def restart(self) -> None:
-        """Forget estimate and odometry, such as after a pause in which the robot was moved; the map stays."""
+        """Forget estimate and odometry but keep the map, for instance after a pause in which the robot was moved."""
         self._odometry.clear()
         self._stamp = 0.0
         self._start_anew()
         self._forget()
 
     def initialise(self, estimate: PoseEstimate) -> None:
-        """Start, or start again, from a pose known otherwise.
+        """Start, or start again, from a pose that is known from elsewhere.
 
         Raises:
-            ValueError: the pose is not finite or the covariance is none.
+            ValueError: the pose is not finite or the covariance is no covariance.
         """
         pose, covariance = estimate.pose, check_gaussian(estimate.pose, estimate.covariance)
         if self._odometry and estimate.stamp >= self._odometry.oldest.stamp:
@@ -108,7 +108,7 @@ class Localizer(ABC):
         self._begin(pose, covariance)
 
     def predict(self, odometry: Odometry) -> None:
-        """Move by the difference to the odometry before; who stands is and stays where it is (P18 Eq. 10 has no noise).
+        """Move by the difference to the odometry before. A robot that stands keeps its estimate (P18 Eq. 10).
 
         Raises:
             SensorDataError: the odometry is not finite, runs back in time or has jumped. The estimate stays as it was;
@@ -199,7 +199,7 @@ class Localizer(ABC):
 
     @abstractmethod
     def _forget(self) -> None:
-        """Have no estimate."""
+        """Drop the estimate."""
 
     @abstractmethod
     def _begin(self, pose: Pose2D, covariance: FloatArray) -> None:

@@ -18,8 +18,8 @@ class MotionNoise:
     The papers hold a velocity for one time step. Here a step lasts ``period_s`` and a shorter or longer interval gets
     the variance of the same random walk, so that the rate of the odometry does not matter (chosen).
 
-    The values are those of wheels that slip by 1 mm in the first metre, growing with the root of the way, and whose
-    radii are known to 0.05 %, which over the 5 m within which scans correct it is as much again; at 0.5 m/s.
+    The values hold at 0.5 m/s for wheels whose slip is 1 mm in the first metre and grows with the root of the way, and
+    whose radii are known to 0.05 %. Over the 5 m within which scans correct the pose, the radii add as much again.
     """
 
     alpha_1: NonNegative = 0.000025  # 1

@@ -1,7 +1,7 @@
-"""Particles over the planar pose of one robot: sampling of the motion, weights, resampling to the size that KLD asks.
+"""Particles over the planar pose of one robot: sampling of the motion, weights, and resampling to a size set by KLD.
 
 Fox, Adapting the sample size in particle filters through KLD-sampling, IJRR 22(12), 2003. Nothing here knows of
-sensors: what a scan says comes in as a log likelihood of each particle.
+sensors: a scan comes in as a log likelihood of each particle.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Count = Annotated[int, msgspec.Meta(ge=2)]
 
 @dataclass(frozen=True)
 class ParticleParameters:
-    """Size of the cloud, its sensor model and its recovery; values as in amcl where it has them, the others chosen."""
+    """Size of the cloud, its sensor model and its recovery. Values are those of amcl where it has them, else chosen."""
 
     min_particles: Count = 400
     max_particles: Count = 4000
@@ -35,11 +35,11 @@ class ParticleParameters:
     kernel: UnitInterval = 0.2  # width of the kernel about each resampled particle, as a share of the cloud's
     moving_kernel: UnitInterval = 0.5  # while the cloud converges
     beams: Count = 80
-    outlier_share: Positive = 0.05  # likelihood of a beam that hits something the map does not have, by a perfect one
+    outlier_share: Positive = 0.05  # likelihood of a beam that hits what is not in the map, relative to a perfect beam
     effective_share: UnitInterval = 0.4  # of the particles that one observation may leave effective
     tolerance_m: Positive = 0.15  # of end points, while there are several hypotheses
-    right_share: UnitInterval = 0.05  # the same while there are several hypotheses
-    converging_power: UnitInterval = 0.1  # of the likelihood, below which the cloud has yet to converge
+    right_share: UnitInterval = 0.05  # replaces effective_share while there are several hypotheses
+    converging_power: UnitInterval = 0.1  # a likelihood tempered below it: the cloud has yet to converge
     # A cloud counts as one hypothesis while it is narrower than this.
     one_cluster_m: Positive = 0.3
     one_cluster_rad: Positive = 0.3
@@ -47,12 +47,12 @@ class ParticleParameters:
     alpha_fast: UnitInterval = 0.2
     lost_ratio: UnitInterval = 0.95  # w_fast by w_slow below which other poses are tried
     poor_fit: UnitInterval = 0.75  # w_fast below which they are tried as well
-    near_m: Positive = 4.0  # half of them about here, as robots are seldom carried far ...
+    near_m: Positive = 4.0  # half of the candidates lie within this, as robots are seldom carried far ...
     near_rad: Positive = 0.1
-    look_every: Annotated[int, msgspec.Meta(ge=1)] = 10  # scans, while nothing is wrong
-    candidates: Count = 600  # random poses that are tried ...
-    aligned: Annotated[int, msgspec.Meta(ge=1)] = 1  # ... and how many of the likeliest of each half are aligned
-    better_fit: UnitInterval = 0.03  # by which share of the beams such a pose must fit better
+    look_every: Annotated[int, msgspec.Meta(ge=1)] = 10  # every so many scans, while nothing is wrong
+    candidates: Count = 600  # random poses that are tried
+    aligned: Annotated[int, msgspec.Meta(ge=1)] = 1  # how many of the likeliest of each half are aligned
+    better_fit: UnitInterval = 0.03  # share of the beams by which such a pose must fit better
     random_share: UnitInterval = 0.2  # of the particles that go there
     seed: int = 0
 
@@ -95,8 +95,8 @@ class ParticleFilter:
     def weigh(self, log_likelihood: FloatArray) -> None:
         """Multiply the weights by the likelihood (N,) of an observation.
 
-        Where the likelihood is so much narrower than the cloud that few particles would be left, it is tempered until
-        ``effective_share`` of them stay effective, and the next observations do the rest.
+        A likelihood that is so much narrower than the cloud that few particles would be left is tempered until
+        ``effective_share`` of them stay effective. The next observations do the rest.
         """
         log_weights = np.log(np.maximum(self.weights, 1e-300))
         log_likelihood = log_likelihood - log_likelihood.max()
@@ -164,8 +164,8 @@ class ParticleFilter:
         wanted = min(max(kld_size(occupied, p.kld_error, p.kld_quantile), p.min_particles), p.max_particles)
         if wanted != n:
             drawn = self.poses[_low_variance(self.weights, wanted, self._rng)]
-        # A kernel about each, so that no two stay alike; drawn in by as much, so that mean and covariance stay. A cloud
-        # that has yet to converge is left to spread, so that it can move to where its tails were thin.
+        # A kernel moves each particle, so that no two stay alike. The particles are drawn in by as much, which
+        # keeps mean and covariance. A cloud that has yet to converge may spread, to move to where its tails were thin.
         if self.is_one_cluster:
             mean, covariance = moments(self.poses, self.weights)
             values, vectors = np.linalg.eigh(covariance)

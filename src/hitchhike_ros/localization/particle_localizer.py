@@ -16,8 +16,8 @@ from hitchhike_ros.mapping.distance_field import DistanceField
 from hitchhike_ros.mapping.grid import FREE, OccupancyGrid
 from hitchhike_ros.mapping.laser import EndPoints
 
-# Beams by which random poses are tried first; how far such a pose is from one that fits; how far it is when it has been
-# aligned; and how near to a wall an end point fits (all chosen).
+# Beams by which random poses are tried first. Standard deviations of such a pose before and after it has been aligned.
+# An end point that is so near to a wall lies on it. All are chosen.
 _SCOUTING_BEAMS = 30
 _CANDIDATE: FloatArray = np.diag(np.square([0.3, 0.3, 0.2]))
 _FOUND_SIGMA = np.array([0.03, 0.03, 0.02])
@@ -28,8 +28,8 @@ class ParticleLocalizer(Localizer):
     """A cloud of poses; the estimate is its heaviest cluster, with the covariance of the whole cloud about it.
 
     A scan is weighed by its end points' distances to the walls (likelihood field; Thrun, Burgard, Fox, Probabilistic
-    Robotics, Table 6.3). When scans fit worse than they used to (w_fast below w_slow, Table 8.3), some particles are
-    drawn afresh: of random poses in free space the one that the scan fits best.
+    Robotics, Table 6.3). When scans fit worse than they used to (w_fast below w_slow, Table 8.3), random poses in free
+    space are tried, and some particles move to the one that the scan fits best.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class ParticleLocalizer(Localizer):
         self._grid = grid
         self._rng = np.random.default_rng(parameters.particles.seed)
         self._cloud = ParticleFilter(parameters.ekf.motion, parameters.particles, self._rng)
-        self._slow = self._fast = 0.0  # w_slow and w_fast: how well scans fit in the long run and of late
+        self._slow = self._fast = 0.0  # w_slow and w_fast: how well scans have fitted in the long run and lately
         self._scans = 0
 
     @property
@@ -86,7 +86,7 @@ class ParticleLocalizer(Localizer):
         at = self._alignment.incidence(ends, origin, pose)
         variance, counts = np.full(len(ends.points), p.tolerance_m**2), np.ones(len(ends.points))
         if self._cloud.is_one_cluster:
-            # The width of the cloud is part of it, or walls would be outliers to a cloud that has yet to converge.
+            # It includes the width of the cloud, or walls would be outliers to a cloud that has yet to converge.
             cloud = 0.5 * (covariance[0, 0] + covariance[1, 1]) + 0.5 * covariance[2, 2] * ends.ranges**2
             variance, counts = (
                 np.where(at.valid, at.variance, self._parameters.laser.sigma(ends.ranges) ** 2) + cloud,
@@ -127,7 +127,7 @@ class ParticleLocalizer(Localizer):
         return np.column_stack([cells + within, self._rng.uniform(-math.pi, math.pi, size)])
 
     def _near_poses(self, about: Pose2D, size: int) -> FloatArray:
-        """At most ``size`` poses in free space about one, with its heading, more or less."""
+        """At most ``size`` poses in free space near a pose, with nearly the same heading."""
         p = self._parameters.particles
         points = self._rng.normal((about.x, about.y), p.near_m, (4 * size, 2))
         cells = self._grid.world_to_cell(points)
@@ -137,16 +137,16 @@ class ParticleLocalizer(Localizer):
         return np.column_stack([points, self._rng.normal(about.theta, p.near_rad, len(points))])
 
     def _recover(self, ends: EndPoints, origin: FloatArray) -> None:
-        """Where the cloud fits worse of late, or is spread, look for a pose that fits better and put particles there.
+        """Look for a pose that fits better when the cloud has fitted worse lately or is spread; put particles there.
 
-        Of random poses in free space the likeliest are aligned to the walls. The best is taken only if more of the scan
-        lies on walls there than at the estimate, so that boxes and people about a robot do not make it jump.
+        The likeliest of random poses in free space are aligned to the walls. The best is taken only if more of the scan
+        lies on walls there than at the estimate, so that boxes and people near a robot do not make it jump.
         """
         p = self._parameters.particles
         self._scans += 1
         fits = self._fast >= max(p.lost_ratio * self._slow, p.poor_fit)
         well = fits and self._cloud.is_one_cluster
-        # In a bare corridor another place fits as well until the robot has driven on: look now and then all the same.
+        # In a bare corridor another place fits as well until the robot has driven on, so look now and then anyway.
         if well and self._scans % p.look_every:
             return
         some = ends.points[np.linspace(0, len(ends.points) - 1, _SCOUTING_BEAMS).astype(int)]
@@ -167,7 +167,7 @@ class ParticleLocalizer(Localizer):
             return
         poses = np.array([(estimate.x, estimate.y, estimate.theta), *found])
         _, fit = self._log_likelihood(poses, ends.points, np.ones(len(ends.points)))
-        # Of places that fit as well, a near one with the same heading is likelier than the corridor turned round.
+        # Among places that fit equally, a near one with the same heading is likelier than the corridor turned round.
         best = int(np.argmax(fit + head_start))
         if best > 0 and fit[best] > fit[0] + p.better_fit:
             size = int(p.random_share * len(self._cloud.poses))
@@ -176,12 +176,12 @@ class ParticleLocalizer(Localizer):
     def _log_likelihood(
         self, poses: FloatArray, points: FloatArray, variance: FloatArray, counts: FloatArray | float = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Of end points (B, 2) in ``base_footprint`` at poses (N, 3): (N,); and the share of them on walls (N,).
+        """Log likelihood (N,) of end points (B, 2) in ``base_footprint`` at poses (N, 3); their share on walls (N,).
 
-        ``variance`` (B,) is that of their distances to the walls, ``counts`` (B,) what each of them counts.
+        ``variance`` (B,) is that of their distances to the walls, ``counts`` (B,) is the weight of each.
         """
         distance = self._field.distances(poses, points)
         likelihood = np.exp(-0.5 * distance**2 / variance)
-        # How well it fits is asked with one tolerance, whatever the cloud's is, so that it compares over time.
+        # The fit is measured with one tolerance, whatever the cloud's is, so that fits compare over time.
         fit = np.mean(np.abs(distance) < _FIT_M, axis=1)
         return (counts * np.log(likelihood + self._parameters.particles.outlier_share)).sum(axis=1), fit

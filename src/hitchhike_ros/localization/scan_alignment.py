@@ -28,8 +28,8 @@ class AlignmentParameters:
     """How a scan is aligned."""
 
     max_beams: Count = 150
-    max_gap_m: Positive = 0.2  # end points further apart count as this far when beams are spread over the walls
-    roughness_m: Positive = 0.003  # of walls; other than the map's errors, it differs from beam to beam
+    max_gap_m: Positive = 0.2  # longest distance between neighbours that counts when beams are spread over the walls
+    roughness_m: Positive = 0.003  # of walls; unlike the map's errors it differs from beam to beam
     gate_sigmas: Positive = 3.5
     max_gate_m: Positive = 0.6
     min_explained: UnitInterval = 0.2
@@ -80,13 +80,13 @@ class Incidence:
 
     @property
     def independence(self) -> FloatArray:
-        """What each end point counts (N,), as those on one cell share the error of its face."""
+        """Weight (N,) of each end point: those on one cell share the error of its face."""
         return 1.0 / (1.0 + (self.count - 1) * self.wall / self.variance)
 
     def sight(self, weights: FloatArray, on_walls: npt.NDArray[np.bool_]) -> Sight:
-        """What end points show that measure a pose with weights (N,); ``on_walls`` (N,) says which of them count."""
+        """What end points with weights (N,) show of the pose; ``on_walls`` (N,) says which lie on walls."""
         A = (weights[:, None] * self.J).T @ self.J
-        # Of the variance of the mean over one face: with many end points it is the face's alone.
+        # The face's share of the variance of the mean over one face; with many end points it is nearly all of it.
         share = self.count * self.independence * self.wall / self.variance
         # Directions that are not measured to a metre or a radian are left to the odometry.
         mean = np.linalg.inv(A + np.eye(3))

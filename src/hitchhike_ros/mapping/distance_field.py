@@ -92,7 +92,7 @@ class DistanceField:
         return self._face_variance[row, column]
 
     def distances(self, poses: FloatArray, points: FloatArray) -> FloatArray:
-        """Only the distances (N, B) in m of points (B, 2), as seen from poses (N, 3) in ``map``, and fast.
+        """The distances (N, B) in m alone, computed fast, of points (B, 2) as seen from poses (N, 3) in ``map``.
 
         They are infinite where there is no wall.
         """

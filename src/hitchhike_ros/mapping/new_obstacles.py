@@ -2,7 +2,7 @@
 
 Each beam that ends away from the walls marks a small cell, and each beam that passes through a marked cell wears the
 mark off, so what moves leaves nothing behind. Cells that were seen for a while and from places apart make a box.
-What no beam went through may belong to it: that joins the sides of a box and sets it against a wall.
+Space that no beam went through may belong to the box. This joins the sides of a box and extends it to a wall.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ class MappingParameters:
     laser: LaserNoise = field(default_factory=LaserNoise)
     cell_m: Positive = 0.02
     max_range_m: Positive = 5.0  # far enough to see a box for min_age_s when passing it at 1 m/s
-    wall_margin_m: Positive = 0.12  # nearer to a wall of the map an end point is that wall
-    robot_margin_m: NonNegative = 0.15  # around a known robot: its pose and the ranges have errors
+    wall_margin_m: Positive = 0.12  # an end point nearer than this to a wall of the map is that wall
+    robot_margin_m: NonNegative = 0.15  # margin around a known robot, as its pose and the ranges have errors
     margin_sigmas: NonNegative = 2.5  # of the range, beside the margin
     reference_sigma_m: Positive = 0.015  # a beam with this noise or less counts fully
-    max_score: Positive = 10.0  # so many beams through a cell remove it, however long it stood there
+    max_score: Positive = 10.0  # so many beams through a cell remove it, however long it was marked
     min_scans: int = 8
     min_age_s: Positive = 3.6  # longer than a person who stops for three seconds covers a cell
-    came_age_s: Positive = 20.0  # where it was empty before: who comes and stands is a person for so long
+    came_age_s: Positive = 20.0  # where it was empty before: what comes is taken for a person for so long
     passing_s: NonNegative = 1.2  # longer than somebody who walks at 0.5 m/s covers a cell
     min_view_gap_m: Positive = 0.5
-    min_cells: int = 4  # that fulfil all three
+    min_cells: int = 4  # cells that fulfil all three conditions
     merge_gap_m: Positive = 0.05
-    join_gap_m: NonNegative = 0.10  # between boxes that are one unless a beam went through it
+    join_gap_m: NonNegative = 0.10  # a gap between two boxes that are one, unless a beam went through it
     free_range_m: Positive = 3.0  # as far as beams tell of free space to the width of a gap
-    free_margin_m: NonNegative = 0.06  # from a box's sides; nearer to them noise of range and pose leave doubts
-    hysteresis_m: NonNegative = 0.021  # of a side: a change by one cell is noise
+    free_margin_m: NonNegative = 0.06  # from a box's sides, where noise of range and pose leave doubts
+    hysteresis_m: NonNegative = 0.021  # smallest change of a side; one cell is noise
     trim: NonNegative = 0.02  # share of the evidence beyond each side of a box
-    max_pose_sigma_m: Positive = 0.15  # with a worse pose nothing is mapped
+    max_pose_sigma_m: Positive = 0.15  # a pose that is known less well is not mapped with
     max_heading_sigma_rad: Positive = 0.07
 
 
@@ -63,7 +63,7 @@ class _Cells:
     scans: FloatArray
     first_stamp: FloatArray
     last_stamp: FloatArray
-    # Since the last beam that went through: who comes where somebody has just left does not stand there for long.
+    # Time of the last beam that went through: whoever comes where somebody has just left does not stand there for long.
     since_stamp: FloatArray
     since_view: FloatArray  # (K, 2), where the robot was then
     apart: npt.NDArray[np.bool_]  # seen since then from places far enough apart
@@ -159,7 +159,7 @@ class NewObstacleMapper:
         return True
 
     def add(self, obstacles: Iterable[Obstacle]) -> None:
-        """Take over boxes from another robot, as often as they come: a box that this robot has seen itself stays."""
+        """Take over boxes from another robot, as often as they come. A box that this robot has seen itself stays."""
         for theirs in obstacles:
             known = [mine for mine in self._boxes if _touch(mine, theirs, self._parameters.join_gap_m)]
             if any(mine.id not in self._given for mine in known):
@@ -178,7 +178,7 @@ class NewObstacleMapper:
             self._cells = self._cells.select(~np.isin(self._cells.keys, keys)).joined(cells)
 
     def _wear_off(self, scan: LaserScan, T_map_laser: Pose2D, view: FloatArray) -> None:
-        """Take evidence from the marked cells that a beam passed through, and what age they have."""
+        """Take evidence and age from the marked cells that a beam passed through."""
         p = self._parameters
         centres = self._centres(self._cells.keys)
         passed, range_m = passed_through(scan, T_map_laser, centres, p.laser, 2.0 * p.cell_m)
@@ -201,7 +201,7 @@ class NewObstacleMapper:
         return away
 
     def _mark(self, points: FloatArray, sigma: FloatArray, stamp: float, view: FloatArray) -> None:
-        """Give evidence to the cells in which end points (N, 2) lie: once a scan, by the best of them."""
+        """Give evidence to the cells in which end points (N, 2) lie: once a scan, by the best point of each cell."""
         keys, first = np.unique(self._keys(points), return_inverse=True)
         weight = np.zeros(len(keys))
         np.maximum.at(weight, first, self._weight(sigma))
@@ -221,7 +221,7 @@ class NewObstacleMapper:
 
     def _find_boxes(self) -> None:
         p = self._parameters
-        # Who walks past a box is no part of it.
+        # A person who walks past a box is no part of it.
         passing = self._cells.last_stamp - self._cells.first_stamp < p.passing_s
         cells = self._cells.select(~passing | (self._cells.scans == 0))
         centres = self._centres(cells.keys)
@@ -250,8 +250,8 @@ class NewObstacleMapper:
     def _joined(self, cells: _Cells, centres: FloatArray) -> list[tuple[npt.NDArray[np.int64], Obstacle]]:
         """Rows and box of the cells of each thing, the largest first.
 
-        Of one thing the laser sees pieces: a side now, a side later, and never what stands behind. Clusters close
-        together are pieces of one box unless a beam went through that box since they are there.
+        The laser sees pieces of one thing: a side now, a side later, and never what stands behind. Clusters close
+        together are pieces of one box unless a beam went through that box since they appeared.
         """
         p = self._parameters
         done: list[tuple[npt.NDArray[np.int64], Obstacle]] = []

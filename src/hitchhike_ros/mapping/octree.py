@@ -44,7 +44,7 @@ class OctreeParameters:
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """The occupied ones of a map: centres (N, 3) in its frame and lengths of their sides (N,), m."""
+    """The occupied voxels of a map: centres (N, 3) in its frame and lengths of their sides (N,), m."""
 
     resolution_m: float
     centres: FloatArray
@@ -63,7 +63,10 @@ class OccupancyOctree:
         return len(self._tree)
 
     def insert(self, depth: npt.NDArray[np.float32], info: CameraInfo, T_map_optical: FloatArray) -> int:
-        """Take a depth image (H, W) in m, NaN where there is none, seen from a pose (4, 4); how many points it gave.
+        """Take a depth image (H, W) in m, NaN where there is no depth, seen from a pose (4, 4).
+
+        Returns:
+            How many points it gave.
 
         Raises:
             SensorDataError: the image has another size than its calibration says, or the pose is senseless.
@@ -137,7 +140,7 @@ def read_voxels(content: bytes, name: object = "octree") -> Voxels:
 
 
 def save(content: bytes, path: Path | str) -> Voxels:
-    """Write a .bt file, whole or not at all; what it holds.
+    """Write a .bt file, whole or not at all, and return what it holds.
 
     Raises:
         MapFileError: it is no .bt file, or cannot be written.

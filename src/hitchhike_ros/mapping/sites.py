@@ -1,5 +1,4 @@
-"""What robots may know of a world file: markers at known places, the hitchhiking points (P17 §3), and what it says of
-them."""
+"""What robots may know of a world file: known markers, hitchhiking points (P17 §3) and their own parameters."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ class Sites:
 
 
 def read_world(path: Path | str) -> dict[str, Any]:
-    """What a world or scenario file holds, its ``map`` as seen from here.
+    """The content of a world or scenario file, its ``map`` as a path from here.
 
     It may begin with ``base``, another file whose content it changes: mappings are merged, everything else is replaced,
     and what is null is gone.

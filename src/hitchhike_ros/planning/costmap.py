@@ -23,14 +23,14 @@ class CostmapParameters:
 
     # Free room beyond the inscribed circle of the footprint; cells with less are forbidden.
     margin_m: NonNegative = 0.05
-    # So far an obstacle is felt: more than half the width of the papers' corridors, so that paths keep to the middle.
+    # An obstacle raises costs up to here: more than half the papers' corridors, so that paths keep to the middle.
     inflation_m: Positive = 1.5
     # Cost, in free cells, that touching an obstacle would add; it decays to 0 at inflation_m, quadratically. Enough to
     # round the corners of the papers' corridors by more than a robot's length, not so much as to weave around pillars.
     clearance_weight: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 0.7
     # Cells of at least this occupancy, in percent, are obstacles (map_server's occupied_thresh).
     occupied_percent: Annotated[int, msgspec.Meta(ge=1, le=100)] = 65
-    # Whether paths may cross cells of which nothing is known.
+    # Whether paths may cross unknown cells.
     allow_unknown: bool = False
 
 

@@ -56,7 +56,7 @@ class DStarLite:
     def change(self, cells: npt.ArrayLike, costs: npt.ArrayLike) -> None:
         """Give ``cells`` (N, 2) as (row, column) the new ``costs`` (N,); what is not passable is blocked.
 
-        Of a cell that is named twice, the last cost holds.
+        When a cell is named twice, its last cost holds.
 
         Raises:
             IndexError: a cell is outside the grid; then nothing has changed.

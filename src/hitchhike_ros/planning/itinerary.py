@@ -1,14 +1,14 @@
 """The best way to a goal by driving alone, waiting and riding with any number of drivers.
 
 Full rides, partial rides (P18 §5) and rides with several drivers (P18 §6) are one problem: a sequence of rides, each
-with another driver, joined by stretches driven alone. Whoever is first at a boarding point waits, a bounded time; a
-driver may hurry or dawdle on its way there, so as to arrive when the hitchhiker does. The papers' points come out of
-the costs: h and h2 are the nearest common nodes, and h3 is the farthest, where metres driven alone are what counts.
+with another driver, joined by stretches driven alone. The robot that is first at a boarding point waits for a bounded
+time; a driver may hurry or dawdle on its way there, so as to arrive when the hitchhiker does. The papers' points follow
+from the costs: h and h2 are the nearest common nodes, and h3 is the farthest, where only metres driven alone count.
 
 The search is best first over labels (point, time, cost, drivers ridden with) where a ride ends. What is still to come
 is bounded from below by the best itinerary that needs no wait. As waiting is bounded, an earlier label does not replace
-a later one that costs more; labels are compared at equal times only. Many points side by side, as where one may board
-anywhere and paths share a corridor but no node, therefore make it slow: ``max_labels`` bounds it.
+a later one that costs more; labels are compared at equal times only. The search is therefore slow when many points lie
+side by side, as where one may board anywhere and paths share a corridor but no node. ``max_labels`` bounds it.
 
 A plan holds for what was announced. When a driver is late, gone or refuses, plan again with the drivers that are left.
 """
@@ -63,7 +63,7 @@ class ItineraryParameters:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """Who asks: ``start`` and ``goal`` in ``map``, the speed alone, the boarding ``sites``, the time ``now``.
+    """The hitchhiker: ``start`` and ``goal`` in ``map``, its speed alone, the boarding ``sites``, the time ``now``.
 
     Sites are points (S, 2), or poses (S, 3) where only drivers that go that way stop.
     """

@@ -1,4 +1,4 @@
-"""The camera's image with what was seen in it, for a person who looks on."""
+"""The camera's image with what was seen in it drawn in, for a person who watches."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from hitchhike_ros.servoing.follow_parameters import FollowParameters
 
 # Noise that the own wheels add to a measured step of the driver (chosen).
 ODOMETRY_SIGMA_M = 0.003
-# An estimated speed below this is none (chosen).
+# An estimated speed below this counts as a stand (chosen).
 STANDING_MPS = 0.05
 
 
@@ -29,13 +29,13 @@ class DriverEstimate:
         self._heading_variance = float(covariance[2, 2])
         self.marker = (marker.x, marker.y)
         self._measured = 0.0
-        # Distance along its way since it was first seen, and speed; how fast it is at first nobody knows.
+        # Distance along its way since it was first seen, and speed. The speed is unknown at first.
         self._state = np.zeros(2)
         self._P = np.diag([float(covariance[0, 0]), 0.5**2])
 
     @property
     def speed(self) -> float:
-        """Speed of the driver in m/s; what is less than its noise is a stand, or the follower would creep up."""
+        """Speed of the driver in m/s; 0 when it is below its noise, or the follower would creep up."""
         speed = float(self._state[1])
         return speed if abs(speed) > STANDING_MPS else 0.0
 

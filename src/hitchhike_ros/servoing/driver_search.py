@@ -1,11 +1,11 @@
-"""A driver that is out of sight: coast along its known trail, slow down, turn to where it left, and give up.
+"""How a follower searches for a driver that is out of sight: it coasts along the trail, turns, and gives up.
 
     coasting   along the trail, ever slower, to a stand short of where the marker was last
     looking    standing: a marker that was covered straight ahead comes back where it was
     turning    towards the side on which it left the view, then over to the other side, and back
     lost       standing, until the marker is seen again
 
-Every step has its bound in time, and coasting one in metres. All is chosen; the papers give up at once (P17 §4).
+Every step has a bound in time; coasting has one in metres too. All is chosen; the papers give up at once (P17 §4).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ SearchState = Literal["coasting", "looking", "turning", "lost"]
 
 # Slower than this a coasting robot stands; a turn this near to its end has ended (chosen).
 _STANDING_MPS, _TURNED_RAD = 0.03, 0.03
-# A marker that was within this of straight ahead, of a driver that kept its heading by the other, did not leave to a
-# side (chosen).
+# A marker within the first of straight ahead, on a driver that had turned off by less than the second, did not leave
+# to a side (chosen).
 _AHEAD_RAD, _STRAIGHT_RAD = 0.15, 0.30
 
 

@@ -2,8 +2,8 @@
 
 What the camera sees is joined with the own wheel odometry (no localization: that is off during a ride) to an estimate
 of the driver's motion and a short trail of where its axle has been. One of the :mod:`servo_laws` turns both into
-velocities; they are bent so that the marker stays in view and are saturated. A driver out of sight is searched for by
-:mod:`driver_search`. Nothing here reads a clock; all coordinates are in the follower's ``odom`` frame unless said
+velocities. They are bent so that the marker stays in view, and saturated. :mod:`driver_search` searches for a driver
+that is out of sight. Nothing here reads a clock. All coordinates are in the follower's ``odom`` frame unless said
 otherwise.
 """
 
@@ -60,7 +60,7 @@ class FollowLaw:
     def reset(self) -> None:
         """Forget the driver; odometry is kept."""
         self._driver: DriverEstimate | None = None
-        self._trail = DriverTrail((0.0, 0.0))  # nowhere, until the driver is seen
+        self._trail = DriverTrail((0.0, 0.0))  # empty until the driver is seen
         self._search: DriverSearch | None = None
 
     def add_odometry(self, odometry: Odometry) -> None:
@@ -124,7 +124,7 @@ class FollowLaw:
         return Decision(twist, "following", "", target.gap, target.bearing)
 
     def _seek_driver(self, now: float) -> Decision:
-        """Look ahead for a while, then to both sides: nothing is known of it yet."""
+        """Look ahead for a while, then to both sides, since nothing is known of the driver yet."""
         if self._search is None:
             self._search = DriverSearch(self._params, self._limits, Departure(0.0, 0.0, 0.0), now)
         twist, state = self._search.step(now, self._odometry.newest.pose, self._trail, 0.0)
@@ -167,7 +167,7 @@ class FollowLaw:
             self._trail = DriverTrail((own.x, own.y), self._driver.axle)
         elif observation.stamp > self._driver.stamp:
             if observation.stamp - self._driver.stamp > p.lost_timeout_s:
-                # What it did meanwhile was not seen: its speed is unknown again, the way to it is taken as straight.
+                # Nobody saw what it did meanwhile: its speed is unknown again, and the way to it is taken as straight.
                 self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance)
                 place = self._trail.at(self._trail.advance(own.x, own.y))
                 if math.hypot(place[0] - own.x, place[1] - own.y) > STRAY_M:  # it went its own way meanwhile

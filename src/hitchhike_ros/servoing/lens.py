@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hitchhike_ros.core.datatypes import CameraInfo, FloatArray
 
 GrayImage = npt.NDArray[np.uint8]
-# The straight picture may be larger than the lens's by this share on each side; what lies farther out is left away.
+# The straight picture may be larger than the lens's by this share on each side; what lies farther out is cut off.
 _MARGIN = 0.25
 
 

@@ -1,7 +1,7 @@
 """Markers in a camera image: AprilTags found by ViSP and QR codes by OpenCV, as poses with covariances.
 
-A detector finds the corners to a tenth of a pixel; lines fitted to the marker's sides know them two times better, and
-from their scatter how well.
+A detector finds the corners to a tenth of a pixel. Lines fitted to the marker's sides give them twice as exactly, and
+the scatter about these lines gives their covariance.
 
 Frames: the marker's x axis is its outward normal, z points up on the plate (so y points to the right of who looks at
 it). The camera's is the optical frame (z forward, x right, y down), pixels are counted from the centre of the top
@@ -28,7 +28,7 @@ from hitchhike_ros.servoing import qr_codes
 from hitchhike_ros.servoing.lens import GrayImage, Lens
 from hitchhike_ros.servoing.square_pose import PoseSolution, SquareView, solve, square_on_poses
 
-# ViSP's own, for who compares.
+# ViSP's own default, for comparisons.
 TagDetector = _visp_tracker.TagDetector
 # AprilTag puts the centre of the top left pixel at (0.5, 0.5); measured on rendered tags to within 0.03 px.
 PIXEL_CENTRE = 0.5
@@ -50,7 +50,7 @@ _FLOOR_PX, _BLURRED_PX = 0.0037, 0.8
 _ONE_LEAN = 2.0
 # Cosine between normals that are one, as of optima that were reached from two sides: 1° (chosen).
 _ONE_NORMAL = 0.99985
-# A plate that is not upright at all, -2 log likelihood: one in some hundred is mounted otherwise (chosen).
+# -2 log likelihood of a plate that is not upright: one in some hundred is mounted otherwise (chosen).
 _NOT_UPRIGHT = 12.0
 
 
@@ -115,7 +115,7 @@ class MarkerDetection:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of that pose, (6, 6) as in :class:`PoseSolution`; as far as the other one may be true, with the distance."""
+        """Covariance (6, 6) of that pose, as in :class:`PoseSolution`; it includes the distance to the other pose."""
         first, *others = self.solutions
         covariance = self.weight * first.covariance
         for other in others:
@@ -222,7 +222,7 @@ class MarkerDetector:
             return [(Code(qr_codes.code_id(message), message), corners) for message, corners in self._qr.detect(gray)]
         _visp_tracker.check_image(gray)
         if not thorough and self.params.quad_decimate > 1.0:
-            # What is sampled more coarsely is smoothed first: the noise of plain walls is most of the search's work.
+            # A coarser image is smoothed first: the noise of plain walls makes most of the search's work.
             gray = np.asarray(cv2.GaussianBlur(gray, (3, 3), _SMOOTHING_PX), dtype=np.uint8)
         ids, all_corners = self._tags[int(thorough)].detect(gray)
         family = self.params.family
@@ -275,7 +275,7 @@ class MarkerDetector:
         return [planar_observation(d, T_base_camera, stamp) for d in self.resolve(detections, T_base_camera, stamp)]
 
     def _modes(self, detection: MarkerDetection, T_base_camera: FloatArray) -> tuple[PoseSolution, ...]:
-        """The likeliest pose and, where there is one, the other; square-on, modes of the posterior in their place."""
+        """The likeliest pose and, where there is one, the other. Square-on, modes of the posterior replace them."""
         sigma = self.params.upright_sigma_rad
         first, *others = detection.solutions
         up = [T_base_camera[:3, :3] @ s.T_camera_marker[:3, 2] for s in detection.solutions]
@@ -295,7 +295,7 @@ class MarkerDetector:
         costs = []
         for solution in detection.solutions:
             T_base_marker = T_base_camera @ solution.T_camera_marker
-            # Upright is also who hangs upside down.
+            # A plate that hangs upside down counts as upright too.
             tilt = math.acos(min(1.0, abs(float(T_base_marker[2, 2]))))
             step = wrap_angle(pose_from_matrix(T_base_marker).theta - yaw_before) if yaw_before is not None else 0.0
             upright = min((tilt / p.upright_sigma_rad) ** 2, _NOT_UPRIGHT)

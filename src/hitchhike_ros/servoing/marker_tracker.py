@@ -1,18 +1,17 @@
 """One marker carried from image to image, which finds it where it is blurred, cut or too far to be read.
 
-A detection starts it. From then on lines are fitted to the marker's sides where they are expected, as in a detection:
-where the image's motion from the last but one to the last image leads to, or else where the picture of the marker is
-found again. What is printed between them has to be what was detected: that tells the marker from another one, and its
-sides from other edges.
+A detection starts it. From then on lines are fitted to the marker's sides where they are expected, as in a detection.
+They are expected where the motion between the last two images leads to, or else where the marker's picture is found
+again. The pattern between the sides has to be the one that was detected. That tells the marker from another marker, and
+its sides from other edges.
 
-Where no sides are found so, the marker has leapt or changed its looks. Then ViSP's model-based tracker (moving edges on
-the sides, KLT points on what is printed between them), started on the image before, says where the square has gone, and
-the lines are fitted there. What it gives by itself is two to eight times less exact (``bench tracking``), for its edges
-are sought at whole pixels and its points drift; and it takes several times as long as the lines, so it is not called
-where they suffice.
+If no sides are found, the marker has leapt or changed its looks. Then ViSP's model-based tracker (moving edges on the
+sides, KLT points on the pattern), started on the image before, tells where the square has gone. The lines are fitted
+there. The tracker's own result is two to eight times less exact (``bench tracking``), as its edges are sought at whole
+pixels and its points drift. It takes several times as long as the lines, so it is called only where they fail.
 
-Detection is called again when the marker is lost, when the picture does not fit the model or the pattern that was
-detected, and once in a while to see what else is there.
+Detection is called again when the marker is lost, when the picture does not fit the model or the detected pattern, and
+once in a while to see what else is in view.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from hitchhike_ros.servoing.marker_detector import (
 from hitchhike_ros.servoing.patch_shift import patch_shift
 from hitchhike_ros.servoing.square_pose import project_corners
 
-# ViSP's own, for who compares.
+# ViSP's own default, for comparisons.
 ModelTracker = _visp_tracker.ModelTracker
 # How much farther than the marker pictures are straightened, as a share of its size: for lines, which are sought within
 # some px, and for the model-based tracker.
@@ -65,7 +64,7 @@ class MarkerTrackerParameters:
 
 @dataclass(frozen=True, eq=False)
 class _Carried:
-    """What is being carried: the marker in the newest image, and its pattern when it was detected.
+    """The marker that is carried: where it is in the newest image, and its pattern when it was detected.
 
     ``corners`` (4, 2) px and their ``motion`` (4, 2) px/s are those of the straight picture, the motion without what
     the camera made by turning; ``heading`` is where it looked, rad. ``modelled`` says that the model-based tracker has
@@ -107,7 +106,7 @@ class MarkerTracker:
         return self._carried is not None and not self.why_detected
 
     def reset(self) -> None:
-        """Carry nothing; the next image is searched."""
+        """Drop the marker; the next image is searched."""
         self._carried = None
 
     def see(
@@ -264,7 +263,7 @@ class MarkerTracker:
 
 
 def _motion(before: _Carried, corners: FloatArray, stamp: float, heading: float) -> FloatArray:
-    """Of the corners (4, 2) since the image before, px/s, beside what the camera's turning made."""
+    """Motion (4, 2) of the corners since the image before, in px/s, without what the camera's turning made."""
     elapsed = stamp - before.stamp
     turned = _turned(before.corners, before.lens, heading - before.heading)
     return (corners - turned) / elapsed if elapsed > 0.0 else np.zeros((4, 2))

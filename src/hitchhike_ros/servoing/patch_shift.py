@@ -1,4 +1,4 @@
-"""How far a part of an image has moved, roughly: found again by its picture, at the size of a stamp."""
+"""How far a part of an image has moved, roughly: its picture is found again at the size of a stamp."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hitchhike_ros.servoing.lens import GrayImage
 # The part is compared in pictures so large, and sought so far from where it was (chosen: a robot that turns by 0.2
 # rad/s sees things move by some 100 px/s).
 _STAMP_PX, _REACH_PX = 32.0, 24.0
-# A part that is no more alike than this, by the correlation of grey levels, is another one (chosen).
+# A part whose grey levels correlate no better than this is another one (chosen).
 _MIN_LIKENESS = 0.7
 
 
@@ -32,7 +32,7 @@ def patch_shift(before: GrayImage, now: GrayImage, corners: FloatArray) -> Float
     high = np.clip(np.ceil(corners.max(axis=0) + margin).astype(int) + 1, 0, size)
     scale = max(1.0, float((high - low).max()) / _STAMP_PX)
     reach = int(np.ceil(_REACH_PX / scale))
-    # The window is cut on the stamp's own raster; off the image goes on what is at its rim.
+    # The window is cut on the stamp's own raster. Beyond the image its rim is repeated.
     shape = np.ceil((high - low) / scale).astype(int)
     if (shape < 4).any():
         return None
@@ -55,7 +55,7 @@ def _stamp(image: GrayImage, low: FloatArray, scale: float, shape: FloatArray) -
 
 
 def _peak(values: FloatArray, at: int) -> float:
-    """Of a parabola through the greatest value and those beside it, in steps from it."""
+    """Vertex of the parabola through the greatest value and its two neighbours, in steps from the greatest."""
     if not 0 < at < len(values) - 1:
         return 0.0
     before, middle, after = (float(v) for v in values[at - 1 : at + 2])

@@ -49,7 +49,7 @@ class Target:
 
     @property
     def speed(self) -> float:
-        """Of the driver over ground."""
+        """Speed of the driver over ground."""
         return math.hypot(self.vx, self.vy)
 
 
@@ -84,7 +84,7 @@ class TrailLaw:
         return v, v * self.curvature(view.own, view.trail)
 
     def curvature(self, own: Pose2D, trail: DriverTrail) -> float:
-        """Of the arc to the point of the trail that is aimed at, 1/m."""
+        """Curvature in 1/m of the arc to the point of the trail that is aimed at."""
         s = trail.advance(own.x, own.y)
         target = trail.at(s + self._params.lookahead_m)
         dx, dy = target[0] - own.x, target[1] - own.y
@@ -176,6 +176,6 @@ def closing_gain(params: FollowParameters, limits: RobotLimits, error: float) ->
 
 
 def saturate(v: float, omega: float, max_v: float, max_omega: float) -> Twist2D:
-    """Both scaled together, so that the direction of motion, its curvature, is kept."""
+    """Scale both together, which keeps the curvature of the motion."""
     scale = max(1.0, abs(v) / max_v, abs(omega) / max_omega)
     return Twist2D(v / scale, omega / scale)

@@ -31,14 +31,14 @@ class SquareView:
 
     @classmethod
     def with_sigma(cls, points: FloatArray, sigma: float, size_m: float) -> SquareView:
-        """Every coordinate of the corners has independent noise of ``sigma``."""
+        """A view whose corners' coordinates all have independent noise of ``sigma``."""
         return cls(points, np.eye(8) / sigma, size_m)
 
     @classmethod
     def with_covariance(
         cls, points: FloatArray, covariance: FloatArray, size_m: float, size_sigma: float = 0.0
     ) -> SquareView:
-        """The corners' errors have a covariance (8, 8)."""
+        """A view whose corners' errors have a covariance (8, 8)."""
         return cls(points, _visp_tracker.whitening(covariance), size_m, size_sigma)
 
     @property
@@ -47,7 +47,7 @@ class SquareView:
         return float(np.exp(-np.log(np.abs(np.diag(self.whitening))).mean()))
 
     def size_covariance(self, T_camera_marker: FloatArray) -> FloatArray:
-        """What the size is off by, the place is off by along the line of sight: of the pose, (6, 6)."""
+        """Covariance (6, 6) that the error of the size adds to the pose: along the line of sight, in proportion."""
         shift = np.concatenate([self.size_sigma * T_camera_marker[:3, 3], np.zeros(3)])
         return np.outer(shift, shift)
 

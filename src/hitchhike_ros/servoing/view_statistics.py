@@ -1,4 +1,4 @@
-"""What a camera sees of a marker, in numbers for somebody who mounts a plate: where it is, how often, how steadily."""
+"""Where, how often and how steadily a camera sees a marker, for a person who mounts a plate."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ViewStatistics:
 
     @property
     def rate_hz(self) -> float:
-        """Images a second of late."""
+        """Images a second, lately."""
         span = self._recent[-1][0] - self._recent[0][0] if self._recent else 0.0
         return (len(self._recent) - 1) / span if span > 0.0 else 0.0
 
@@ -73,7 +73,7 @@ class ViewStatistics:
         return f"{newest.code}  {place}  {share}"
 
     def summary(self) -> str:
-        """All images so far."""
+        """One sentence on all images so far."""
         if not self.images:
             return "no image came"
         share = 100 * self.seen / self.images
