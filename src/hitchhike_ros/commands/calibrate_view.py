@@ -13,11 +13,10 @@ Topics, parameters, TF: as visual_servoing (``rosrun hitchhike_ros visual_servoi
 
 from __future__ import annotations
 
-import shutil
-import sys
-
 import rospy
+from rich.text import Text
 
+from hitchhike_ros.experiments.report.screen import LivingLine, console
 from hitchhike_ros.modules.module import Outputs
 from hitchhike_ros.modules.visual_servoing import View, VisualServoing, VisualServoingOutputs
 from hitchhike_ros.ros_io.host import ModuleHost, Single
@@ -27,17 +26,16 @@ from hitchhike_ros.ros_io.parameters import frame, private_parameters
 from hitchhike_ros.ros_io.topics import visual_servoing_outlets
 from hitchhike_ros.servoing.view_statistics import ViewStatistics, sighting
 
-_LINE_PERIOD_S = 1.0  # where the output is no terminal
-
 
 class _Line:
-    """Tells the terminal of every image."""
+    """Shows the terminal every image, and a file one a second."""
 
     def __init__(self) -> None:
         self._statistics = ViewStatistics()
-        self._said_at = -_LINE_PERIOD_S
+        self._living = LivingLine(console())
+        self._living.__enter__()
 
-    def tell(self, _name: str, outputs: Outputs) -> None:
+    def show(self, _name: str, outputs: Outputs) -> None:
         """What a step of the module gave; nothing where no image was looked at."""
         if not isinstance(outputs, VisualServoingOutputs) or outputs.observations is None:
             return
@@ -45,15 +43,12 @@ class _Line:
         self._statistics.add(stamp, None if target is None else sighting(target.code.message, target.T_camera_marker))
         unusable = outputs.view is View.NO_IMAGE
         line = "image cannot be used: see /diagnostics" if unusable else self._statistics.line()
-        if sys.stdout.isatty():
-            print("\r" + line[: shutil.get_terminal_size().columns - 1], end="\x1b[K", flush=True)
-        elif not 0.0 <= stamp - self._said_at < _LINE_PERIOD_S:
-            self._said_at = stamp
-            print(line, flush=True)
+        self._living.show(Text(line, no_wrap=True, overflow="crop"), f"{stamp:.0f}")
 
     def finish(self) -> None:
-        """Tell of all images."""
-        print(("\n" if sys.stdout.isatty() else "") + self._statistics.summary(), flush=True)
+        """Say of all images what was seen."""
+        self._living.__exit__()
+        print(self._statistics.summary(), flush=True)
 
 
 def build() -> ModuleHost:
@@ -67,7 +62,7 @@ def build() -> ModuleHost:
         where=rospy.get_name(),
     )
     print(f"waiting for images on {rospy.resolve_name('camera/image_raw')}", flush=True)
-    return ModuleHost(Single(module), {module.name: visual_servoing_outlets(frame("camera_optical"))}, also=line.tell)
+    return ModuleHost(Single(module), {module.name: visual_servoing_outlets(frame("camera_optical"))}, also=line.show)
 
 
 def main() -> None:

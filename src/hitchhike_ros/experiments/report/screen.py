@@ -55,17 +55,26 @@ def drawn(table: Table) -> rich.table.Table:
 def show(screen: Console, *tables: Table) -> None:
     """Print tables, a blank line after each."""
     for table in tables:
-        screen.print(drawn(table), "", sep="\n")
+        _print(screen, drawn(table))
+        screen.print()
 
 
 def text_of(*tables: Table) -> str:
     """Tables as plain text for a file, a blank line between two."""
-    texts = []
-    for table in tables:
-        file = io.StringIO()
-        console(file).print(drawn(table))
-        texts.append("\n".join(line.rstrip() for line in file.getvalue().splitlines()))
-    return "\n\n".join(texts)
+    file = io.StringIO()
+    show(console(file), *tables)
+    return file.getvalue().rstrip()
+
+
+def _print(screen: Console, what: RenderableType) -> None:
+    """Print, in a file without the blanks that fill lines on a terminal."""
+    if screen.is_terminal:
+        screen.print(what)
+        return
+    with screen.capture() as printed:
+        screen.print(what)
+    for line in printed.get().splitlines():
+        screen.out(line.rstrip(), highlight=False)
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,7 @@ class LivingLine:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._live = Live(console=console, auto_refresh=False, transient=True) if _lives(console) else None
-        self._told = ""
+        self._shown = ""
 
     def __enter__(self) -> LivingLine:
         if self._live is not None:
@@ -125,9 +134,9 @@ class LivingLine:
         """Show the line as it is now. ``change`` is what makes it worth a line of its own where nothing lives."""
         if self._live is not None:
             self._live.update(line, refresh=True)
-        elif change != self._told:
-            self._console.print(line)
-        self._told = change
+        elif change != self._shown:
+            _print(self._console, line)
+        self._shown = change
 
 
 class ProgressBars:

@@ -64,8 +64,8 @@ def test_elsewhere_there_is_a_line_at_each_change() -> None:
     file = io.StringIO()
     with LivingLine(console(file)) as line:
         for text, change in (("a 1", "a"), ("a 2", "a"), ("b 3", "b")):
-            line.show(Text(text), change)
-    assert file.getvalue().split("\n") == ["a 1", "b 3", ""]
+            line.show(Text(f"{text}   "), change)
+    assert file.getvalue().split("\n") == ["a 1", "b 3", ""]  # without blanks at the end
 
 
 def test_the_cursor_is_back_after_a_failure_too() -> None:
