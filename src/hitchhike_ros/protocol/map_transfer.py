@@ -46,7 +46,7 @@ class TransferParameters:
 
     piece_bytes: Annotated[int, msgspec.Meta(ge=LEAST_PIECE, le=LARGEST_PIECE)] = 4096
     window: Annotated[int, msgspec.Meta(ge=1, le=MOST_ASKED)] = 16
-    retry_s: Positive = 1.0
+    retry_s: Annotated[float, msgspec.Meta(ge=0.01)] = 1.0
     patience_s: Positive = 60.0
     largest_packed: Annotated[int, msgspec.Meta(ge=1, le=LARGEST_PACKED)] = LARGEST_PACKED
     largest_map: Annotated[int, msgspec.Meta(ge=1, le=LARGEST_MAP)] = LARGEST_MAP
@@ -112,7 +112,7 @@ class _Side:
     def _give_up(self, now: float) -> bool:
         """Whether nothing has come for too long, for the first time; a clock that was set back starts anew."""
         self._progress_at = min(self._progress_at, now)
-        if self.transfer.over or now - self._progress_at < self.params.patience_s:
+        if self.transfer.over or now < self._progress_at + self.params.patience_s:
             return False
         self._end("failed", now, f"nothing from {self.transfer.other} for {self.params.patience_s:g} s")
         return True
@@ -168,12 +168,23 @@ class MapSender(_Side):
 
     def step(self, now: float) -> list[MapMessage]:
         """Asks how it stands when a hitchhiker that has begun is quiet: what it said last may be lost."""
-        if self._give_up(now) or self.transfer.state != "moving":
-            return []
-        if 0.0 <= now - max(self._progress_at, self._nudged_at) < self.params.retry_s:
+        if self._give_up(now) or now < self._nudge_at(now):
             return []
         self._nudged_at = now
         return [self._offer()]
+
+    def next_due(self, now: float) -> float:
+        """When :meth:`step` has something to do if nothing is heard; never after the end."""
+        if self.transfer.over:
+            return math.inf
+        return min(self._nudge_at(now), self._progress_at + self.params.patience_s)
+
+    def _nudge_at(self, now: float) -> float:
+        """At once after the clock was set back."""
+        last = max(self._progress_at, self._nudged_at)
+        if self.transfer.state != "moving":
+            return math.inf
+        return last + self.params.retry_s if now >= last else now
 
     def _offer(self) -> MapOffer:
         t = self.transfer
@@ -248,9 +259,19 @@ class MapReceiver(_Side):
         if self._give_up(now):
             self._pieces.clear()
             return self._ack(now)
-        if self.transfer.over or 0.0 <= now - self._asked_at < self.params.retry_s:
+        if self.transfer.over or now < self._ask_at(now):
             return []
         return self._ask(now)
+
+    def next_due(self, now: float) -> float:
+        """When :meth:`step` has something to do if nothing is heard; never after the end."""
+        if self.transfer.over:
+            return math.inf
+        return min(self._ask_at(now), self._progress_at + self.params.patience_s)
+
+    def _ask_at(self, now: float) -> float:
+        """At once after the clock was set back."""
+        return self._asked_at + self.params.retry_s if now >= self._asked_at else now
 
     def _ask(self, now: float) -> list[MapMessage]:
         t = self.transfer

@@ -61,8 +61,12 @@ class Link:
         now = 0.0
         while now < limit_s and not (self.sender.transfer.over and self.receiver.transfer.over):
             now += STEP_S
-            self.say(self.receiver.step(now), now)
-            self.say(self.sender.step(now), now)
+            for side in (self.receiver, self.sender):
+                due = side.next_due(now)
+                said = side.step(now)
+                assert said == [] or due <= now
+                assert side.next_due(now) > now
+                self.say(said, now)
             while self._under_way and self._under_way[0][0] <= now:
                 _, _, to, text = heapq.heappop(self._under_way)
                 message = decode(text)
