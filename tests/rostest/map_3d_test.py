@@ -58,6 +58,8 @@ class Map3DTest(unittest.TestCase):
             robot: rospy.Publisher(f"/{robot}/hhike_msg/status", String, queue_size=1, latch=True)
             for robot in (DRIVER, RIDER)
         }
+        cls.said: dict[str, Status] = {}
+        cls.repeats = rospy.Timer(rospy.Duration(1.0), cls.repeat, reset=True)
         cls.poses = rospy.Publisher(f"/{DRIVER}/amcl_pose", PoseWithCovarianceStamped, queue_size=5)
         wheels = rospy.Publisher(f"/{DRIVER}/cmd_vel", Twist, queue_size=1)
         images = rospy.Publisher(f"/{DRIVER}/camera/depth/image_raw", Image, queue_size=1)
@@ -106,7 +108,14 @@ class Map3DTest(unittest.TestCase):
     def say(cls, robot: str, role: str, state: str, ride: RideStatus | None) -> None:
         convoy = (RIDER,) if robot == DRIVER and ride is not None else ()
         status = Status(rospy.get_time(), robot, role, state, modules=NOTHING_ON, ride=ride, convoy=convoy)
+        cls.said[robot] = status
         cls.statuses[robot].publish(String(encode_status(status)))
+
+    @classmethod
+    def repeat(cls, _event: object) -> None:
+        """Orders have an age, so hitchhike_comm repeats them."""
+        for robot, status in dict(cls.said).items():
+            cls.statuses[robot].publish(String(encode_status(status)))
 
     @classmethod
     def localize(cls, truth: Odometry) -> None:

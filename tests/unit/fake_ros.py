@@ -22,6 +22,8 @@ class FakeRos:
         self.subscribers: dict[str, list[Callable[[Any], None]]] = defaultdict(list)
         self.listeners: set[str] = set()
         """Topics to which somebody else subscribes; all others have no connections."""
+        self.latecomers: dict[str, Any] = {}
+        """Who is called when somebody subscribes to a topic later."""
         self.warnings: list[str] = []
         self.shut_down: list[str] = []
 
@@ -30,6 +32,14 @@ class FakeRos:
         msg._connection_header = {"callerid": sender}
         for callback in list(self.subscribers[topic]):
             callback(msg)
+
+    def join(self, topic: str) -> list[Any]:
+        """Somebody subscribes to ``topic`` now; what is published to him alone."""
+        received: list[Any] = []
+        listener = self.latecomers[topic]
+        if listener is not None:
+            listener.peer_subscribe(topic, None, received.append)
+        return received
 
     def said(self, name: str) -> Any:
         """The newest diagnosis called ``name``: level, message and values."""
@@ -68,8 +78,12 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> FakeRos:
     def get_param(name: str, *default: Any) -> Any:
         return fake.params[name] if name in fake.params or not default else default[0]
 
+    def publisher(topic: str, _cls: type, **options: Any) -> _Publisher:
+        fake.latecomers[topic] = options.get("subscriber_listener")
+        return _Publisher(fake, topic)
+
     replacements = {
-        "Publisher": lambda topic, _cls, **_: _Publisher(fake, topic),
+        "Publisher": publisher,
         "Subscriber": subscribe,
         "get_param": get_param,
         "get_param_cached": get_param,

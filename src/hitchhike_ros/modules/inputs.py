@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, Obstacle, Pose2D, PoseEstimate, Twist2D
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,13 @@ class DepthImage:
 
     stamp: float
     depth: Callable[[], npt.NDArray[np.float32]]
+
+
+@dataclass(frozen=True, eq=False)
+class DepthCameraInfo:
+    """Calibration of the depth camera, whose images are rectified."""
+
+    info: CameraInfo
 
 
 @dataclass(frozen=True)

@@ -94,19 +94,14 @@ class ModuleHost:
     ) -> None:
         self._robot, self._also = robot, also
         self._outlets = {name: list(of_module) for name, of_module in outlets.items()}
-        self._publishers = {
-            outlet: rospy.Publisher(
-                resolve(outlet.topic), outlet.cls, queue_size=outlet.queue_size, latch=outlet.latch, tcp_nodelay=True
-            )
-            for of_module in self._outlets.values()
-            for outlet in of_module
-        }
-        self._diagnostics = {name: Diagnostics(name) for name in self._outlets}
-        self._answers = {name: LockstepAnswer(name) for name in self._outlets}
         self.failure: Exception | None = None
         self._changed = threading.Condition()
         self._arrived: deque[_Arrived | Callable[[], None]] = deque()
         self._waiting: dict[Inlet, int] = {}
+        self._kept: dict[Outlet, Any] = {}
+        self._publishers = {outlet: self._publisher(outlet) for outlets in self._outlets.values() for outlet in outlets}
+        self._diagnostics = {name: Diagnostics(name) for name in self._outlets}
+        self._answers = {name: LockstepAnswer(name) for name in self._outlets}
         self._due = -float("inf")
         self._logged: dict[tuple[str, str], float] = {}
         self._orders: frozenset[type] = frozenset({Status}) if orders else frozenset()
@@ -216,6 +211,8 @@ class ModuleHost:
             value = getattr(outputs, outlet.field) if outlet.field else outputs
             if value is None or (isinstance(value, tuple) and not value):
                 continue
+            if outlet.on_demand:
+                self._kept[outlet] = value
             publisher = self._publishers[outlet]
             if outlet.latch or publisher.get_num_connections():
                 for msg in outlet.convert(value):
@@ -225,6 +222,23 @@ class ModuleHost:
         self._diagnostics[name].set(health.level, health.reason, **health.counters)
         if outputs.answered is not None:
             self._answers[name](outputs.answered)
+
+    def _publisher(self, outlet: Outlet) -> rospy.Publisher:
+        late = _Latecomers(lambda publish: self.post(lambda: self._show(outlet, publish)))
+        return rospy.Publisher(
+            resolve(outlet.topic),
+            outlet.cls,
+            subscriber_listener=late if outlet.on_demand else None,
+            latch=outlet.latch,
+            queue_size=outlet.queue_size,
+            tcp_nodelay=True,
+        )
+
+    def _show(self, outlet: Outlet, publish: Callable[[Any], None]) -> None:
+        """Make what was said last for one who has subscribed since."""
+        if outlet in self._kept:
+            for msg in outlet.convert(self._kept[outlet]):
+                publish(msg)
 
     def _listen(self) -> None:
         """Subscribe to what the modules take now and to no more, so that a module that is off costs next to nothing."""
@@ -256,6 +270,18 @@ class ModuleHost:
                 publisher.publish(Twist())
         for diagnostics in self._diagnostics.values():
             diagnostics.set(Level.ERROR, f"ended by {type(exc).__name__}: {exc}")
+
+
+class _Latecomers(rospy.SubscribeListener):
+    """Calls back with what publishes to one new subscriber alone."""
+
+    def __init__(self, callback: Callable[[Callable[[Any], None]], None]) -> None:
+        super().__init__()
+        self._callback = callback
+
+    def peer_subscribe(self, _topic: str, _publish: Any, peer_publish: Callable[[Any], None]) -> None:
+        """As rospy calls it."""
+        self._callback(peer_publish)
 
 
 def _sender(msg: Any) -> str:

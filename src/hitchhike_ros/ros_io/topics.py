@@ -19,13 +19,17 @@ from nav_msgs.msg import Odometry as OdometryMsg
 from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
-from std_msgs.msg import Bool, Int8, String
+from std_msgs.msg import Bool, Int8, String, UInt8MultiArray
+from visualization_msgs.msg import MarkerArray
 
 from hitchhike_ros.core.datatypes import CameraInfo, LaserScan, Odometry, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.octree import read_voxels
 from hitchhike_ros.modules.inputs import (
     CameraImage,
+    DepthCameraInfo,
+    DepthImage,
     FoundObstacles,
     HandedOverObstacles,
     InitialPose,
@@ -39,12 +43,14 @@ from hitchhike_ros.modules.inputs import (
 )
 from hitchhike_ros.modules.visual_servoing import Look, View
 from hitchhike_ros.protocol.events import Award, NavigationReport
+from hitchhike_ros.protocol.map_transfer import Transfer
 from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import Observations, decode_observations, encode_observations
 from hitchhike_ros.protocol.status import Status, decode_status, encode_status
 from hitchhike_ros.ros_io.conversions import (
     LaserScanArrayMsg,
     camera_info_from_msg,
+    depth_from_msg,
     estimate_from_msg,
     estimate_to_msg,
     gray_from_msg,
@@ -61,6 +67,7 @@ from hitchhike_ros.ros_io.conversions import (
     twist_from_msg,
     twist_to_msg,
 )
+from hitchhike_ros.ros_io.markers import voxel_markers
 from hitchhike_ros.ros_io.parameters import network_topic
 from hitchhike_ros.servoing.annotation import annotated
 
@@ -78,7 +85,11 @@ class Inlet:
 
 @dataclass(frozen=True, eq=False)
 class Outlet:
-    """``convert`` makes the messages of a field of the outputs (``""``: of all outputs)."""
+    """``convert`` makes the messages of a field of the outputs (``""``: of all outputs).
+
+    A topic that is latched or ``on_demand`` says to each new subscriber what was said last; on demand it is made anew
+    for him, so that it costs nothing while nobody looks.
+    """
 
     field: str
     topic: str
@@ -86,6 +97,7 @@ class Outlet:
     convert: Callable[[Any], Iterable[Any]]
     latch: bool = False
     queue_size: int = 1
+    on_demand: bool = False
 
 
 def resolve(topic: str) -> str:
@@ -147,6 +159,10 @@ def _camera_image(msg: Image) -> CameraImage:
     )
 
 
+def _depth_image(msg: Image) -> DepthImage:
+    return DepthImage(msg.header.stamp.to_sec(), partial(depth_from_msg, msg))
+
+
 def _heard(msg: String) -> NetworkText:
     connection = getattr(msg, "_connection_header", None) or {}
     return NetworkText(msg.data, str(connection.get("callerid", "?")))
@@ -161,6 +177,13 @@ INLETS: dict[type, Inlet] = {
         Inlet(LaserScan, "scan", LaserScanArrayMsg, scan_from_msg),
         Inlet(CameraImage, "camera/image_raw", Image, _camera_image),
         Inlet(CameraInfo, "camera/camera_info", CameraInfoMsg, _camera_info),
+        Inlet(DepthImage, "camera/depth/image_raw", Image, _depth_image),
+        Inlet(
+            DepthCameraInfo,
+            "camera/depth/camera_info",
+            CameraInfoMsg,
+            lambda msg: DepthCameraInfo(camera_info_from_msg(msg)),
+        ),
         # From module to module.
         Inlet(PoseEstimate, "amcl_pose", PoseWithCovarianceStamped, _estimate),
         Inlet(OccupancyGrid, "map", OccupancyGridMsg, grid_from_msg),
@@ -203,6 +226,14 @@ def _awards(awards: Iterable[Award]) -> Iterable[String]:
 
 def _initial_pose(start: InitialPose) -> Iterable[PoseWithCovarianceStamped]:
     yield estimate_to_msg(start.estimate)
+
+
+def _transfers(transfers: Iterable[Transfer]) -> Iterable[String]:
+    return (text for transfer in transfers for text in _json(transfer))
+
+
+def _voxels(view: Callable[[], bytes]) -> Iterable[MarkerArray]:
+    yield voxel_markers(read_voxels(view()), rospy.get_time())
 
 
 def path_of(path: PlannedPath) -> Path:
@@ -272,4 +303,10 @@ PATH_PLANNING = (
 OBSTACLE_AVOIDANCE = (
     Outlet("command", "cmd_vel/navigation", Twist, lambda command: _twists(command.twist)),
     Outlet("report", "navigation/status", String, _json, latch=True, queue_size=10),
+)
+MAPPING_3D = (
+    Outlet("messages", "~network_out", String, _texts, queue_size=200),
+    Outlet("file", "octomap_binary", UInt8MultiArray, lambda file: (UInt8MultiArray(data=file),), latch=True),
+    Outlet("view", "occupied_cells_vis_array", MarkerArray, _voxels, on_demand=True),
+    Outlet("transfers", "map_3d/transfer", String, _transfers, latch=True, queue_size=10),
 )

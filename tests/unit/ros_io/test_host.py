@@ -108,6 +108,35 @@ def test_what_nobody_hears_is_not_made_unless_it_is_kept_for_who_comes_later(ros
     assert [msg.data for msg in ros.published["said"]] == ["{}"]
 
 
+def test_what_is_made_on_demand_is_made_for_who_comes_later(ros: FakeRos) -> None:  # noqa: F811
+    made = []
+
+    def make(texts: tuple[str, ...]) -> list[String]:
+        made.append(texts)
+        return [String(text) for text in texts]
+
+    outlets = (Outlet("texts", "shown", String, make, on_demand=True), *OUTLETS)
+    node = ModuleHost(Single(Echo()), {"echo": outlets}, start=False)
+    early = ros.join("shown")
+    node.turn(0.0)
+    assert early == []
+    for text in "ab":
+        ros.send("/hhike_msg/network", String(text))
+        node.turn(1.0)
+    node.turn(2.0)  # which says nothing new
+    assert made == []
+    late = ros.join("shown")
+    assert made == [], "not on the thread of who subscribes"
+    node.turn(3.0)
+    assert [msg.data for msg in late] == ["b"]
+    assert ros.published["shown"] == []
+    ros.listeners.add("shown")
+    ros.send("/hhike_msg/network", String("c"))
+    node.turn(4.0)
+    assert [msg.data for msg in ros.published["shown"]] == ["c"]
+    assert ros.join("cmd_vel/navigation") == []
+
+
 def test_a_module_is_stepped_only_when_it_is_due(ros: FakeRos) -> None:  # noqa: F811
     module = Echo()
     module.delay_s = 1.0

@@ -5,19 +5,30 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import rospy
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from std_msgs.msg import Bool, String
 
-from hitchhike_ros.core.datatypes import Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import CameraInfo, Pose2D, Twist2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.modules.inputs import NO_PATH, NavigationCommand, PlannedPath, PlanReport, TeleopActive
+from hitchhike_ros.mapping.octree import OccupancyOctree, OctreeParameters, read_voxels
+from hitchhike_ros.modules.inputs import (
+    NO_PATH,
+    DepthCameraInfo,
+    DepthImage,
+    NavigationCommand,
+    PlannedPath,
+    PlanReport,
+    TeleopActive,
+)
 from hitchhike_ros.protocol.events import NavigationReport
-from hitchhike_ros.ros_io.conversions import grid_to_msg
-from hitchhike_ros.ros_io.topics import INLETS, OBSTACLE_AVOIDANCE, PATH_PLANNING, Outlet
+from hitchhike_ros.protocol.map_transfer import Transfer
+from hitchhike_ros.ros_io.conversions import camera_info_to_msg, grid_to_msg, image_to_msg
+from hitchhike_ros.ros_io.topics import INLETS, MAPPING_3D, OBSTACLE_AVOIDANCE, PATH_PLANNING, Outlet
 
 
 @pytest.fixture(autouse=True)
@@ -97,3 +108,43 @@ def test_a_map_arrives_and_a_senseless_one_is_refused() -> None:
     for msg in bad:
         with pytest.raises(SensorDataError, match="map"):
             convert(msg)
+
+
+def test_a_depth_image_is_converted_when_it_is_looked_at() -> None:
+    depth = np.array([(1.0, np.nan), (0.25, 2.0)], np.float32)
+    arrived = INLETS[DepthImage].convert(image_to_msg(depth, 7.5, "camera", "32FC1"))
+    assert arrived.stamp == 7.5
+    np.testing.assert_array_equal(arrived.depth(), depth)
+    strange = INLETS[DepthImage].convert(image_to_msg(np.zeros((2, 2, 3), np.uint8), 8.0, "camera", "rgb8"))
+    assert strange.stamp == 8.0
+    with pytest.raises(SensorDataError, match="rgb8"):
+        strange.depth()
+
+
+def test_the_calibration_of_the_depth_camera_is_not_that_of_the_camera() -> None:
+    info = CameraInfo(4, 3, np.diag([5.0, 6.0, 1.0]))
+    inlet = INLETS[DepthCameraInfo]
+    arrived = inlet.convert(camera_info_to_msg(info, 0.0, "camera"))
+    assert inlet.topic != INLETS[CameraInfo].topic
+    assert (arrived.info.width, arrived.info.height) == (4, 3)
+    np.testing.assert_array_equal(arrived.info.K, info.K)
+
+
+def test_a_map_is_published_whole_and_as_voxels_on_demand() -> None:
+    tree = OccupancyOctree(OctreeParameters(stride=1))
+    tree.insert(np.ones((3, 4), np.float32), CameraInfo(4, 3, np.diag([5.0, 6.0, 1.0])), np.eye(4))
+    by_topic = {outlet.topic: outlet for outlet in MAPPING_3D}
+    file, cells = by_topic["octomap_binary"], by_topic["occupied_cells_vis_array"]
+    assert (file.latch, cells.latch, cells.on_demand) == (True, False, True)
+    (msg,) = file.convert(tree.file())
+    assert bytes(msg.data) == tree.file()
+    (markers,) = cells.convert(tree.file)
+    assert sum(len(marker.points) for marker in markers.markers) == len(read_voxels(tree.file()).sides)
+    assert {marker.header.stamp.to_sec() for marker in markers.markers} == {12.5}
+
+
+def test_each_transfer_is_a_message() -> None:
+    transfers = (Transfer("driver", "moving", "a", "b", "r"), Transfer("driver", "arrived", "a", "b", "r", seconds=2.5))
+    by_topic = {outlet.topic: outlet for outlet in MAPPING_3D}
+    said = [msgspec.json.decode(msg.data, type=Transfer) for msg in by_topic["map_3d/transfer"].convert(transfers)]
+    assert said == list(transfers)
