@@ -1,6 +1,6 @@
-"""The process in which roslaunch's API starts a launch file; it tells its parent when all nodes run and which died.
+"""The process in which roslaunch's API starts a launch file. It reports when all nodes have started, and which died.
 
-roslaunch wants the main thread and the signals of a process, and leaves much behind: so each launch has a process of
+roslaunch needs the main thread and the signals of a process, and leaves much behind; so each launch has a process of
 its own. SIGINT ends it with all its nodes.
 
 Usage: ``python3 -m hitchhike_ros.commands.launch_host EVENTS PORT FILE [NAME:=VALUE...]``, where EVENTS is the file

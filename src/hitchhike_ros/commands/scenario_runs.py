@@ -44,7 +44,7 @@ class _Kept(_Digest, frozen=True):
 
 
 def drive(
-    scenario: RideScenario, seeds: Sequence[int], output: Path, port: int | None, say: Callable[[str], None]
+    scenario: RideScenario, seeds: Sequence[int], output: Path, port: int | None, report: Callable[[str], None]
 ) -> ScenarioResult:
     """All runs of a scenario, those left out that ended well before.
 
@@ -62,9 +62,11 @@ def drive(
         if result is None:
             result = _drive_one(scenario, world, seed, folder, port)
             _keep(folder, digest, result)
-            say(f"  seed {seed}: {result.trouble or 'as it should end'}, {result.sim_s:.0f} s in {result.wall_s:.0f} s")
+            report(
+                f"  seed {seed}: {result.trouble or 'as it should end'}, {result.sim_s:.0f} s in {result.wall_s:.0f} s"
+            )
         else:
-            say(f"  seed {seed}: done before, in {folder}")
+            report(f"  seed {seed}: done before, in {folder}")
         if scenario.alone_of and result.ok:
             # Not kept: the ride may have been driven anew since.
             beside = figures_beside(output / scenario.alone_of / folder.name, folder)

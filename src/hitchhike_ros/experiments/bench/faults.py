@@ -19,8 +19,8 @@ from hitchhike_ros.experiments.scoring.figures import Figure
 _SEEDS, _QUICK = 10_000, 100
 # So many of all runs have partitions and crashes.
 _SEVERE_SHARE = 0.1
-# So many runs that failed are told of, with so many of their last events.
-_TOLD, _TRACE = 5, 40
+# So many runs that failed are printed, with so many of their last events.
+_PRINTED, _TRACE = 5, 40
 
 
 def run(options: Options, progress: Progress) -> Findings:
@@ -36,8 +36,8 @@ def run(options: Options, progress: Progress) -> Findings:
     brief = {name: [replace(result, trace=()) for result in of_it] for name, of_it in results.items()}
     write_results(options.output / "faults.json", brief)
     failed = [result for of_it in results.values() for result in of_it if result.failure]
-    for result in failed[:_TOLD]:
-        _tell(result)
+    for result in failed[:_PRINTED]:
+        _print(result)
     return Findings([figure for name, of_it in results.items() for figure in fault_figures(name, of_it)])
 
 
@@ -54,7 +54,7 @@ def fault_figures(name: str, results: Sequence[FaultResult]) -> list[Figure]:
     ]
 
 
-def _tell(result: FaultResult) -> None:
+def _print(result: FaultResult) -> None:
     command = f"rosrun hitchhike_ros bench faults --seed {result.seed} --seeds 1"
     lines = "\n".join(f"  {line}" for line in result.trace[-_TRACE:])
     print(f"seed {result.seed}: {result.failure}\n{lines}\nagain: {command}\n", file=sys.stderr, flush=True)

@@ -47,11 +47,7 @@ def run(options: Options, progress: Progress) -> Findings:
         scenario = replace(scenario, duration_s=_QUICK_S)
     runs = []
     for size in _QUICK_SIZES if options.quick else _SIZES:
-
-        def told(done: float, of: float, size: int = size) -> None:
-            progress(f"fleet of {size} (s)", int(done), int(of))
-
-        runs.append(run_fleet(scenario.sized(size), told))
+        runs.append(run_fleet(scenario.sized(size), progress))
     write_results(options.output / "fleet_trips.json", {str(r.robots): r.trips for r in runs})
     tables = _tables(runs)
     (options.output / "fleet.txt").write_text(text_of(*tables) + "\n", encoding="utf-8")

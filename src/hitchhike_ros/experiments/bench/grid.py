@@ -1,7 +1,8 @@
 """P18 §8.1 in the grid simulator: every number comes out of runs of the robots' own machines, beside the paper's.
 
-Without a network (P17, ``local``) a driver hears a hitchhiker when it has come to it; with one (``network``) all is
-said from afar. The paper's waits include 10 s and 8 s of communication that it sets; here the delay is the network's.
+Without a network (P17, ``local``) a driver receives a request when it has come to the hitchhiker; with one
+(``network``) robots agree from afar. The paper's waits include 10 s and 8 s of communication that it sets; here the
+delay is the network's.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ def small_fleet(seed: int) -> tuple[Request, tuple[AnnouncedDriver, ...], Itiner
 def building_fleet(
     random: np.random.Generator, count: int, spread_m: float = 0.0
 ) -> tuple[Request, tuple[AnnouncedDriver, ...]]:
-    """``count`` drivers with three to six straight stretches each, starting within two minutes, and who asks.
+    """``count`` drivers with three to six straight stretches each, starting within two minutes, and a robot that asks.
 
     Where paths meet they share nodes, unless these are moved at random by ``spread_m`` (standard deviation).
     """

@@ -57,7 +57,7 @@ class Track:
 def follow(localizer: Localizer, moments: Sequence[Moment], seed: int, kidnapped: int | None = None) -> Track:
     """Localize over a stretch of a drive; after moment ``kidnapped`` the robot is elsewhere on its way.
 
-    Kidnapping leaves out a stretch of the drive that leads 5 m away, and the odometry says nothing of it.
+    Kidnapping leaves out a stretch of the drive that leads 5 m away, and the odometry shows nothing of it.
     """
     order = list(range(len(moments)))
     if kidnapped is not None:

@@ -32,7 +32,7 @@ EXPERIMENTS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line says. ``package`` and ``data`` are folders; data that is missing is left out and said.
+    """What the command line says. ``package`` and ``data`` are folders; what needs data that is missing is left out.
 
     ``seeds`` is how many a benchmark takes that has seeds to choose from; None: as many as it thinks right.
     """

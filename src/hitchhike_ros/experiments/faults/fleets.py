@@ -43,7 +43,7 @@ _POINTS = (
 # Boxes beside the middle of corridors, which robots find.
 _BOXES = (("a", 20.0, 3.0), ("b", 48.0, 5.0), ("c", 20.0, 35.0), ("d", 48.0, 33.0), ("e", 32.0, 18.0))
 _LEAST_TRIP_M = 15.0
-# By then everybody is at its goal, or has said why not.
+# By then every robot is at its goal or has reported why not.
 _LIMIT_S = 1500.0
 # Steps of a ride in which a robot that falls silent leaves another one waiting.
 _AWKWARD = (

@@ -217,7 +217,7 @@ class Referee:
     def _check_messages(self, ride_id: str, ride: _Ride, robot: GridRobot) -> None:
         p = robot.params
         a_second = 2.0 / p.update_period_s + 3.0 / p.request_period_s + 2.0 / p.repeat_period_s
-        # Everybody who hears a question may answer it.
+        # Every robot that receives a question may answer it.
         answers = 1.0 + 0.3 * len(self._world.robots)
         bound = answers * (_MESSAGES_A_RIDE + 1.2 * a_second * (ride.last - ride.began))
         if ride.messages > bound:
@@ -259,7 +259,7 @@ class Referee:
         return (robot for robot in self._world.robots.values() if robot.alive)
 
     def _forget(self, name: str) -> None:
-        """Who crashes remembers nothing, and owes nothing but its map."""
+        """A robot that crashes forgets everything but its map, and owes nobody anything."""
         self._offers = {key: since for key, since in self._offers.items() if name not in key[:2]}
         self._owed.pop(name, None)
         self._since = {what: since for what, since in self._since.items() if name not in what}

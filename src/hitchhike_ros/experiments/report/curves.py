@@ -45,7 +45,7 @@ class Size:
 
 SIZES = {"wide": Size(900.0, 190.0, 20.0, 10.0), "narrow": Size(430.0, 170.0, 20.0, 11.0)}
 
-# Colours that matplotlib is told, and what the page has in their place.
+# Colours that matplotlib draws in, and what the page has in their place.
 _TEXT, _GRID, _ZERO = "#0000f0", "#0000f1", "#0000f2"
 _PAGE = {_TEXT: "var(--dim)", _GRID: "var(--line)", _ZERO: "var(--dim)"}
 ROBOT_COLOURS = 6

@@ -1,7 +1,7 @@
 """The experiments as one HTML file that needs nothing else: figures beside the papers', and what happened on the way.
 
 The first run of a scenario that left a record is shown in full, the others by their figures. Everything comes from the
-folders of the runs (ride.json, record.json, frames/); what is missing there is missing in the report, and said so.
+folders of the runs (ride.json, record.json, frames/); the report names what is missing there.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ def _module_table(record: RideRecord) -> Table:
 
 
 def _log(record: RideRecord) -> Table:
-    """What the robots said to each other, but for what they say all the time; repetitions are counted."""
+    """The messages that the robots sent, without those that they send all the time; repetitions are counted."""
     rows: list[list[str]] = []
     counts: list[int] = []
     for sent in record.messages:

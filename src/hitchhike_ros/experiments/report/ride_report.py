@@ -40,7 +40,7 @@ _DECIMALS = {"s": 1, "%": 1, "m": 3, "s/s": 3, "deg": 2, "sigma": 2, "points": 2
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run stands now; None where there is nothing to tell."""
+    """Where a run stands now; None for what is not known, or is not at hand at this step."""
 
     step: str
     ridden_m: float | None = None
@@ -69,12 +69,12 @@ def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | No
             step = _RIDING_STEPS.get(driver.state, step)
     elif all(robot.arrived for robot in record.robots.values()):
         step = ARRIVED
-    told = driver.ride if driver is not None else None
+    reported = driver.ride if driver is not None else None
     aboard = ride.riding_at is not None and ride.released_at is None
     return Progress(
         step=step,
-        ridden_m=told.ridden_m if told is not None and aboard else None,
-        ride_m=told.ride_m if told is not None and aboard else None,
+        ridden_m=reported.ridden_m if reported is not None and aboard else None,
+        ride_m=reported.ride_m if reported is not None and aboard else None,
         gap_m=gap_now(record, ride) if ride.aligning_at is not None and ride.released_at is None else None,
         rider=ride.hitchhiker,
         modules=rider.modules if rider is not None else None,
@@ -112,7 +112,7 @@ def module_names(modules: ModuleSwitches) -> str:
 
 
 def figure_table(figures: Sequence[Figure], peer: str = "paper", title: str = "Figures") -> Table:
-    """Every figure beside its peer's, which are the paper's unless said otherwise, with its bound."""
+    """Every figure beside its peer's, which are the paper's unless ``peer`` names others, with its bound."""
     rows: list[list[str]] = [
         [
             label(figure),

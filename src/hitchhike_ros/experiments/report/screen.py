@@ -23,7 +23,7 @@ _FILE_COLUMNS = 160  # of what is no terminal
 _INDENT = "  "
 _STYLES = {GOOD: "green", BAD: "red"}
 _GAP = 2  # between columns, and between the parts of a line
-_LINES = 10  # where there is no bar, so many lines tell of a step
+_LINES = 10  # for a step, where there is no bar
 
 
 def console(stream: TextIO | None = None) -> Console:

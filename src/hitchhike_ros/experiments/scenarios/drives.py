@@ -68,7 +68,7 @@ class Drive:
     arrived: bool
 
     def moments(self, seed: int) -> Iterator[Moment]:
-        """The drive as the robot's sensors tell it, with noise of one seed."""
+        """The drive as the robot's sensors report it, with noise of one seed."""
         odometry_rng, laser_rng = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
         limits = load_parameters(RobotLimits, "robot", self.config)
         laser = load_parameters(LaserParameters, "simulated_laser", self.config)
@@ -77,8 +77,8 @@ class Drive:
         for step in self.steps:
             readings = [encoders.update(stamp, angles) for stamp, angles in step.wheels]
             every = max(len(readings) // ODOMETRY_PER_SCAN, 1)
-            told = tuple(readings[every - 1 :: every])
-            yield Moment(told, as_scan(step.distances, step.stamp, laser, laser_rng), step.pose)
+            reported = tuple(readings[every - 1 :: every])
+            yield Moment(reported, as_scan(step.distances, step.stamp, laser, laser_rng), step.pose)
 
 
 def plan_route(file: WorldFile, grid: OccupancyGrid, robot: str, package: Path) -> FloatArray:

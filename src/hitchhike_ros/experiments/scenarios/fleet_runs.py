@@ -1,27 +1,25 @@
-"""One fleet in one grid world: what it costs to simulate, what robots say and hear, and what riding gains and costs."""
+"""One fleet in one grid world: what it costs to simulate, what robots send and receive, what riding gains and costs."""
 
 from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
+from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.simulation.grid.scenario import Scenario, build
 from hitchhike_ros.simulation.grid.world import GridWorld
 
-# Robots in radio range are counted so often (chosen), and progress is told as often.
+# Robots in radio range are counted so often, and progress is reported as often (chosen).
 _SAMPLE_S = 30.0
 # New objects before the youngest, then younger, then all of them are searched for cycles (chosen).
 _COLLECTIONS = (50_000, 20, 100)
 # Trips that begin later than this before the end are left out, as only the short ones end in time (chosen).
 _LAST_TRIPS_S = 400.0
-
-# Seconds done, of so many.
-Told = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
@@ -78,10 +76,10 @@ class FleetRun:
         return float(np.mean([trip.delay_s for trip in self.trips])) if self.trips else 0.0
 
 
-def run_fleet(scenario: Scenario, told: Told) -> FleetRun:
+def run_fleet(scenario: Scenario, progress: Progress) -> FleetRun:
     """Simulate with rides, and again without; what is timed is the first."""
-    world, processor_s, in_range = _simulated(scenario, told)
-    alone, _, _ = _simulated(scenario.changed(hitchhiking={"may_ride": False}), told)
+    world, processor_s, in_range = _simulated(scenario, progress)
+    alone, _, _ = _simulated(scenario.changed(hitchhiking={"may_ride": False}), progress)
     duration, robots = scenario.duration_s, len(world.robots)
     return FleetRun(
         robots=robots,
@@ -97,7 +95,7 @@ def run_fleet(scenario: Scenario, told: Told) -> FleetRun:
     )
 
 
-def _simulated(scenario: Scenario, told: Told) -> tuple[GridWorld, float, float]:
+def _simulated(scenario: Scenario, progress: Progress) -> tuple[GridWorld, float, float]:
     """The world at its end, the processor time of its events, and the mean number of robots in radio range."""
     world = build(scenario)
     processor, counts = 0.0, []
@@ -108,7 +106,7 @@ def _simulated(scenario: Scenario, told: Told) -> tuple[GridWorld, float, float]
             world.run(until)
             processor += time.process_time() - began
             counts.append(world.mean_in_range())
-            told(world.now, scenario.duration_s)
+            progress(f"fleet of {len(world.robots)} (s)", int(world.now), int(scenario.duration_s))
     return world, processor, float(np.mean(counts))
 
 

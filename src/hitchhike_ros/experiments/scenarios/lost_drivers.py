@@ -67,7 +67,7 @@ def _turned(random: np.random.Generator, now: float) -> list[Fault]:
 
 
 def _held(random: np.random.Generator, now: float) -> list[Fault]:
-    """The driver is stopped by hand for a while, and a person steps in between the two, who stand."""
+    """Somebody holds the driver for a while, and a person steps in between the two robots, which stand."""
     return [Fault("steered", DRIVER, now, now + float(random.uniform(6.0, 12.0)))]
 
 
@@ -113,7 +113,7 @@ class LostResult:
 
     @property
     def arrived(self) -> bool:
-        """Whether both say that they are at their goals, and are."""
+        """Whether both report that they are at their goals, and truly are."""
         ends = (Ending.told(self.driver_end), Ending.told(self.rider_end))
         return all(end.reason is Reason.ARRIVED for end in ends) and self.goal_error_m <= GOAL_M
 

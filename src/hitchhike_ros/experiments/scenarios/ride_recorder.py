@@ -102,7 +102,7 @@ class RideRecorder:
         self.record.robots[robot].estimates.append(TimedEstimate.of(estimate))
 
     def initial_pose(self, robot: str, estimate: PoseEstimate) -> None:
-        """The pose that the robot was told, by an operator or by its driver."""
+        """The pose that an operator or its driver gave the robot."""
         self.record.robots[robot].initial_poses.append(TimedEstimate.of(estimate))
 
     def status(self, robot: str, status: Status) -> None:

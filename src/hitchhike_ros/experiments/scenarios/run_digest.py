@@ -1,4 +1,4 @@
-"""What a run was driven with, as one digest: by it a run that is kept is told from one that has to be driven anew."""
+"""What a run was driven with, as one digest: a run is kept as long as it stays the same."""
 
 from __future__ import annotations
 

@@ -187,7 +187,7 @@ def run_window(robot: RobotRecord) -> Window | None:
     begin = next((s.time_stamp for s in robot.statuses if s.state != "idle"), None)
     if begin is None or not robot.ended or robot.newest_status is None:
         return None
-    # Several in a row may say that it is idle; the first of the last such row is the end.
+    # Several statuses in a row may report that it is idle; the first of the last such row is the end.
     end = robot.newest_status.time_stamp
     for status in reversed(robot.statuses):
         if status.state != "idle":

@@ -1,4 +1,4 @@
-"""What a human who teleoperates typed and sent, as ``scripted_operator`` counts it, beside another run (P18 §7)."""
+"""What a human operator typed and sent, as ``scripted_operator`` counts it, beside another run (P18 §7)."""
 
 from __future__ import annotations
 

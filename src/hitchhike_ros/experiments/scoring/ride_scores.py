@@ -83,7 +83,7 @@ def score_in(world: WorldFile, scenario: RideScenario, record: RideRecord) -> Sc
     found = score(scenario, record, markers_of(world), goals, local)
     if not world.people:
         return found
-    # Who steps between the two is braked for, and the gap is not held.
+    # The rider brakes for people who step in between, and so cannot hold the gap.
     figures = (replace(f, bound=None) if f.name == "gap_error_rms" else f for f in found.figures)
     return replace(found, figures=tuple(figures))
 

@@ -75,7 +75,7 @@ class ScriptedOperator:
                     self._terminals[name] = stack.enter_context(TeleopTerminal(name))
                     self._subscribe(name, robot)
                 self._wait(self._take, lambda: self._script.waits_for)
-                # Who hears this robot listen to the others may give them their goals.
+                # These subscriptions are what the node operator waits for before it gives goals.
                 for topic, name in zip(topics, wanted, strict=True):
                     rospy.Subscriber(topic, String, self._on_status, name, queue_size=10)
                 self._wait(self._drive, lambda: self._script.waits_for, self._periods.look_s)

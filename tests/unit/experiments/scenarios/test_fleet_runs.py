@@ -25,9 +25,9 @@ def test_a_small_fleet_is_compared_trip_by_trip(monkeypatch: pytest.MonkeyPatch)
     assert scenario.fleet is not None
     busy = replace(scenario.fleet, begin_s=(0.0, 30.0), rest_s=(0.0, 10.0))
     scenario = replace(scenario, duration_s=360.0, fleet=busy).changed(network={"range_m": 60.0})
-    told: list[float] = []
-    run = run_fleet(scenario, lambda done, _of: told.append(done))
-    assert told[-1] == 360.0
+    reported: list[tuple[str, int, int]] = []
+    run = run_fleet(scenario, lambda *progress: reported.append(progress))
+    assert reported[-1] == ("fleet of 20 (s)", 360, 360)
     assert (run.robots, run.duration_s, run.failed) == (20, 360.0, 0)
     assert run.real_time_factor == pytest.approx(360.0 / run.processor_s)
     assert run.processor_us == pytest.approx(1e6 * run.processor_s / 360.0 / 20)
