@@ -261,7 +261,11 @@ def grid_from_msg(msg: OccupancyGridMsg) -> OccupancyGrid:
         raise SensorDataError(f"map: {exc}") from exc
 
 
-def grid_to_msg(grid: OccupancyGrid, stamp: float, frame_id: str = "map") -> OccupancyGridMsg:
+def map_info(grid: OccupancyGrid, stamp: float) -> MapMetaData:
+    """Size and place of a map that was loaded at ``stamp``."""
     rows, columns = grid.data.shape
-    info = MapMetaData(to_stamp(stamp), grid.resolution, columns, rows, pose_to_msg(grid.origin))
-    return OccupancyGridMsg(header(stamp, frame_id), info, grid.data.ravel().tolist())
+    return MapMetaData(to_stamp(stamp), grid.resolution, columns, rows, pose_to_msg(grid.origin))
+
+
+def grid_to_msg(grid: OccupancyGrid, stamp: float, frame_id: str = "map") -> OccupancyGridMsg:
+    return OccupancyGridMsg(header(stamp, frame_id), map_info(grid, stamp), grid.data.ravel().tolist())

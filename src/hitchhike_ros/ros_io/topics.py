@@ -9,20 +9,31 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import rospy
-from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseArray,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Transform,
+    TransformStamped,
+    Twist,
+    Vector3,
+)
+from nav_msgs.msg import MapMetaData, Path
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
-from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Int8, String, UInt8MultiArray
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from hitchhike_ros.core.datatypes import CameraInfo, LaserScan, Odometry, PoseEstimate, Twist2D
+from hitchhike_ros.core.datatypes import CameraInfo, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.octree import read_voxels
@@ -41,7 +52,6 @@ from hitchhike_ros.modules.inputs import (
     TeleopActive,
     TeleopCommand,
 )
-from hitchhike_ros.modules.visual_servoing import Look, View
 from hitchhike_ros.protocol.events import Award, NavigationReport
 from hitchhike_ros.protocol.map_transfer import Transfer
 from hitchhike_ros.protocol.messages import NewObstacles
@@ -55,13 +65,17 @@ from hitchhike_ros.ros_io.conversions import (
     estimate_to_msg,
     gray_from_msg,
     grid_from_msg,
+    grid_to_msg,
     header,
     image_to_msg,
+    map_info,
     odometry_from_msg,
     path_from_msg,
     path_to_msg,
     pose_from_msg,
+    pose_to_msg,
     quaternion_from_rotation,
+    quaternion_from_yaw,
     rgb_from_msg,
     scan_from_msg,
     twist_from_msg,
@@ -69,7 +83,10 @@ from hitchhike_ros.ros_io.conversions import (
 )
 from hitchhike_ros.ros_io.markers import voxel_markers
 from hitchhike_ros.ros_io.parameters import network_topic
-from hitchhike_ros.servoing.annotation import annotated
+
+if TYPE_CHECKING:  # a node imports its own module and no other
+    from hitchhike_ros.modules.slam import SlamOutputs
+    from hitchhike_ros.modules.visual_servoing import Look, View
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +157,16 @@ def _planned_path(msg: Path) -> PlannedPath:
     return PlannedPath(path_from_msg(msg), pose_from_msg(msg.poses[-1].pose) if msg.poses else None)
 
 
+def _start(msg: PoseWithCovarianceStamped) -> InitialPose:
+    if msg.header.frame_id.strip("/") not in ("map", ""):
+        raise MessageError(f"frame {msg.header.frame_id!r}, expected 'map'")
+    return InitialPose(estimate_from_msg(msg))
+
+
+def _handed_over(msg: String) -> HandedOverObstacles:
+    return HandedOverObstacles(_decode_boxes(msg).obstacles)
+
+
 _decode_boxes = _json_of(NewObstacles, "new_obstacles")
 
 
@@ -196,6 +223,9 @@ INLETS: dict[type, Inlet] = {
         Inlet(TeleopCommand, "cmd_vel/teleop", Twist, _twist_of(TeleopCommand)),
         Inlet(ServoingCommand, "cmd_vel/servoing", Twist, _twist_of(ServoingCommand)),
         Inlet(NavigationCommand, "cmd_vel/navigation", Twist, _twist_of(NavigationCommand)),
+        # From an operator, and from a driver by hitchhike_comm.
+        Inlet(InitialPose, "initialpose", PoseWithCovarianceStamped, _start),
+        Inlet(HandedOverObstacles, "hhike_msg/new_obstacles", String, _handed_over, queue_size=10),
         # From robot to robot.
         Inlet(NetworkText, "~network_in", String, _heard, queue_size=200),
     )
@@ -261,6 +291,8 @@ def _marker_poses(look: Look, camera_frame: str) -> Iterable[PoseWithCovarianceS
 
 
 def _annotated(look: Look) -> Iterable[Image]:
+    from hitchhike_ros.servoing.annotation import annotated  # noqa: PLC0415  (loads ViSP)
+
     picture = annotated(look.image.rgb(), look.target, look.markers, carried=look.carried)
     yield image_to_msg(picture, look.image.stamp, look.image.frame_id, "rgb8")
 
@@ -285,6 +317,38 @@ def visual_servoing_outlets(camera_frame: str) -> tuple[Outlet, ...]:
         Outlet("view", own + "status", Int8, _states),
         Outlet("look", own + "code_message", String, _codes),
         Outlet("look", own + "image_annotated", Image, _annotated),
+    )
+
+
+def _grids(grid: OccupancyGrid) -> Iterable[OccupancyGridMsg]:
+    yield grid_to_msg(grid, rospy.get_time())
+
+
+def _metadata(grid: OccupancyGrid) -> Iterable[MapMetaData]:
+    yield map_info(grid, rospy.get_time())
+
+
+def _clouds(outputs: SlamOutputs) -> Iterable[PoseArray]:
+    if outputs.particles is not None and outputs.pose is not None:
+        poses = [pose_to_msg(Pose2D(x, y, theta)) for x, y, theta in outputs.particles.tolist()]
+        yield PoseArray(header(outputs.pose.stamp, "map"), poses)
+
+
+def slam_outlets(odom_frame: str) -> tuple[Outlet, ...]:
+    """What slam says; ``odom_frame`` is the robot's."""
+
+    def transforms(T_map_odom: tuple[float, Pose2D]) -> Iterable[TFMessage]:
+        stamp, pose = T_map_odom
+        transform = Transform(Vector3(pose.x, pose.y, 0.0), quaternion_from_yaw(pose.theta))
+        yield TFMessage([TransformStamped(header(stamp, "map"), odom_frame, transform)])
+
+    return (
+        Outlet("T_map_odom", "/tf", TFMessage, transforms, queue_size=100),
+        Outlet("pose", "amcl_pose", PoseWithCovarianceStamped, lambda estimate: (estimate_to_msg(estimate),)),
+        Outlet("", "particlecloud", PoseArray, _clouds),
+        Outlet("boxes", "new_obstacles", String, _boxes, latch=True),
+        Outlet("grid", "map", OccupancyGridMsg, _grids, latch=True),
+        Outlet("grid", "map_metadata", MapMetaData, _metadata, latch=True),
     )
 
 

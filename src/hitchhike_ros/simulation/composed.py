@@ -6,7 +6,7 @@ that of the nodes, and a test compares the two on one ride.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,20 +16,26 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.core.datatypes import LaserScan, MarkerObservation, Odometry, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.core.datatypes import LaserScan, MarkerObservation, Obstacle, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.parameters import load_parameters
 from hitchhike_ros.core.robot_model import RobotLimits, fixed_transforms
-from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
-from hitchhike_ros.localization.methods import Method, make_localizer
+from hitchhike_ros.localization.methods import Method
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.modules.inputs import CameraImage, PlanReport, TeleopCommand
-from hitchhike_ros.modules.module import Module
+from hitchhike_ros.modules.inputs import (
+    CameraImage,
+    FoundObstacles,
+    HandedOverObstacles,
+    InitialPose,
+    PlanReport,
+    TeleopCommand,
+)
+from hitchhike_ros.modules.module import Fresh, Module
 from hitchhike_ros.modules.obstacle_avoidance import ObstacleAvoidance
 from hitchhike_ros.modules.path_planning import PathPlanning
 from hitchhike_ros.modules.robot_files import PlainFiles
+from hitchhike_ros.modules.slam import Slam
 from hitchhike_ros.modules.velocity_mux import VelocityMux, VelocityMuxParameters
 from hitchhike_ros.modules.visual_servoing import VisualServoing
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
@@ -57,6 +63,8 @@ from hitchhike_ros.simulation.world_file import RobotEntry
 
 FRAME_RATE_HZ = 10
 ODOMETRY_PER_FRAME = 2
+# An estimate older than this is no longer the robot's pose, as for hitchhike_comm (s).
+_ESTIMATE_AGE_S = 1.0
 # Grey value of an image in which something is held before the lens.
 _COVERED_GRAY = 90
 
@@ -87,16 +95,10 @@ class ComposedRobot:
 
         self.name, self.body = body.name, body
         self.limits = load(RobotLimits, "robot")
-        self._T_base_laser = pose_from_matrix(mounts["laser"])
-        self._grid = grid
-        localization = load(LocalizerParameters, "localization")
-        self._localizer: Localizer = make_localizer(
-            localization_method, grid, sites.markers, localization, self._T_base_laser
-        )
-        self.mapper = NewObstacleMapper(grid, load(MappingParameters, "mapping"))
         self._planner = GlobalPlanner(load(GlobalPlannerParameters, "global_planner"), self.limits)
         urdf = package / "urdf" / f"{entry.model}.urdf"
         files = PlainFiles(body.name, config, urdf, sites, grid, changes)
+        self._slam = Slam.build(files, method=localization_method)
         self._path_planning = PathPlanning.build(files)
         self._obstacle_avoidance = ObstacleAvoidance.build(files)
         self._mux = VelocityMux(load(VelocityMuxParameters, "velocity_mux"), self.limits)
@@ -117,54 +119,30 @@ class ComposedRobot:
         )
         self.inbox = Inbox(self.name)
         self.status: Status = self.traveller.status(0.0)
-        self.estimate: PoseEstimate | None = None
+        self._estimate: Fresh[PoseEstimate] = Fresh("pose", _ESTIMATE_AGE_S)
         self.following = ""
         """What the law behind the marker said last."""
         self.awards: list[Award] = []
         self.taken: list[PoseEstimate] = []
-        self._map, self._mapped = grid, self.mapper.obstacles
+        self.map, self.obstacles = grid, FoundObstacles(()).obstacles
+        """The robot's own map with the boxes that it knows, and these."""
         self._planning = PlanReport("", "idle")
         self._navigation = NavigationReport("", "idle")
         self._observations: tuple[MarkerObservation, ...] = ()
-        self._unheard: tuple[MarkerObservation, ...] = ()  # by localization
         self._seen_from = Pose2D()  # in odom, when the observations were made
         self._outbox = Outbox()
-
-    @property
-    def map(self) -> OccupancyGrid:
-        """The robot's own map with the boxes it knows."""
-        if self._mapped != self.mapper.obstacles:
-            self._mapped = self.mapper.obstacles
-            self._map = self._grid.with_obstacles(self._mapped)
-        return self._map
-
-    @property
-    def _others(self) -> list[tuple[Pose2D, float]]:
-        return [(Pose2D(r.x, r.y), r.radius_m) for r in self.status.robots]
+        self._slam.order(self.status, 0.0)
 
     def sense_odometry(self, odometry: Odometry) -> None:
-        """The wheels' reading; localization counts it even while it is off, so that it can start again."""
-        self._localizer.predict(odometry)
-        for module in (self._servoing, self._obstacle_avoidance):
+        """The wheels' reading."""
+        for module in (self._slam, self._servoing, self._obstacle_avoidance):
             _hand(module, odometry, odometry.stamp)
 
     def sense_scan(self, scan: LaserScan, now: float) -> None:
         """Localize, map and drive by one scan, as far as these are on."""
-        _hand(self._servoing, scan, now)
-        modules = self.status.modules
-        if modules.LZN and self._localizer.initialised:
-            self._localizer.update_scan(scan)
-            self._localizer.update_markers(self._unheard)
-            self.estimate = self._localizer.estimate_at(scan.stamp)
-        elif not modules.LZN:
-            self.estimate = None
-        self._unheard = ()
-        if self.estimate is not None:
-            if modules.MAP:
-                self.mapper.update(scan, self.estimate, self._T_base_laser, self._others)
-            self._path_planning.sense(self.map, now)  # which a topic would keep for it while it is off
-            for module in (self._path_planning, self._obstacle_avoidance):
-                _hand(module, self.estimate, now)
+        for module in (self._slam, self._servoing):
+            _hand(module, scan, now)
+        self._localize(now)
         _hand(self._obstacle_avoidance, scan, now)
         self._navigate(now)
 
@@ -182,7 +160,8 @@ class ComposedRobot:
             if outputs.command is not None:
                 self._mux.sense(outputs.command, now)
             if outputs.observations is not None:
-                self._observations = self._unheard = outputs.observations.markers
+                _hand(self._slam, outputs.observations, now)
+                self._observations = outputs.observations.markers
                 self._seen_from, self.following = self.body.odometry().pose, outputs.observations.following
 
     def steer(self, now: float, twist: Twist2D) -> None:
@@ -202,9 +181,9 @@ class ComposedRobot:
         seen = [o for o in self._observations if servo is not None and o.marker_id == servo.marker_id]
         failed, plan = self._planning.state == "failed", self._planning
         situation = Situation(
-            self.estimate,
+            self._estimate.get(now),
             self.body.odometry().twist.v,
-            self.mapper.obstacles,
+            self.obstacles,
             NavigationReport(plan.goal_id, plan.state, plan.reason) if failed else self._navigation,
             seen[0] if seen else None,
             self._seen_from if seen else None,
@@ -215,8 +194,9 @@ class ComposedRobot:
             self._carry_out(effect, now, send)
         self.status = self.traveller.status(now)
         self._mux.order(self.status, now)
-        for module in (self._obstacle_avoidance, self._path_planning, self._servoing):
+        for module in (self._slam, self._obstacle_avoidance, self._path_planning, self._servoing):
             module.order(self.status, now)
+        self._localize(now)
         self.servo(now)
         self._navigate(now)
 
@@ -226,18 +206,37 @@ class ComposedRobot:
 
     def start(self, estimate: PoseEstimate) -> None:
         """Where an operator says that the robot is."""
-        self._localizer.initialise(estimate)
+        _hand(self._slam, InitialPose(estimate), estimate.stamp)
+
+    def learn(self, boxes: Iterable[Obstacle], now: float) -> None:
+        """Boxes that it knows of beforehand."""
+        _hand(self._slam, HandedOverObstacles(tuple(boxes)), now)
+        self._localize(now)
 
     def _carry_out(self, effect: Effect, now: float, send: Callable[[str], None]) -> None:
         if isinstance(effect, Send):
             send(encode(self._outbox.stamp(effect.message, now)))
         elif isinstance(effect, TakePose):
             self.taken.append(effect.estimate)
-            self._localizer.initialise(effect.estimate)
+            _hand(self._slam, InitialPose(effect.estimate), now)
         elif isinstance(effect, TakeObstacles):
-            self.mapper.add(effect.obstacles)
+            _hand(self._slam, HandedOverObstacles(effect.obstacles), now)
         elif isinstance(effect, Award):
             self.awards.append(effect)
+
+    def _localize(self, now: float) -> None:
+        """Localize and map, as far as that is due."""
+        while self._slam.next_due(now) <= now:
+            outputs = self._slam.step(now)
+            if outputs.pose is not None:
+                self._estimate.put(outputs.pose, outputs.pose.stamp)
+                for module in (self._path_planning, self._obstacle_avoidance):
+                    _hand(module, outputs.pose, now)
+            if outputs.grid is not None:
+                self.map = outputs.grid
+                self._path_planning.sense(self.map, now)  # which a topic would keep for it while it is off
+            if outputs.boxes is not None:
+                self.obstacles = outputs.boxes.obstacles
 
     def _navigate(self, now: float) -> None:
         """Plan and drive, as far as that is due."""

@@ -43,7 +43,7 @@ def ride(package: Path, course: Course, seed: int) -> RideResult:
         composed = ComposedRide(world, package, changes=changes_of(course))
         recorder = ComposedRecorder(composed, seed)
         for robot in composed.robots.values():
-            robot.mapper.add(course.doors)
+            robot.learn(course.doors, world.now)
         composed.start({name: PoseEstimate(0.0, entry.start, SIGMA) for name, entry in world.file.robots.items()})
         rode = False
         for _ in recorder.run(course.limit_s):

@@ -122,7 +122,7 @@ def drive(package: Path, seed: int) -> DriveResult:
             if robot.status.state == "idle" and world.now > 2.0:
                 break
         truth, _ = body.ground_truth()
-        found, phantoms, place, size = compare(robot.mapper.obstacles, file.boxes)
+        found, phantoms, place, size = compare(robot.obstacles, file.boxes)
         return DriveResult(
             seed,
             name,

@@ -1,0 +1,382 @@
+"""Localizes the robot in its map and keeps that map up to date (modules LZN and MAP of P17 Fig. 8)."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, get_args
+
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Obstacle, Odometry, Pose2D, PoseEstimate, Positive
+from hitchhike_ros.core.errors import HitchhikeError, ParameterError, SensorDataError, StaleInputError
+from hitchhike_ros.core.geometry import compose, inverse, pose_from_matrix
+from hitchhike_ros.localization.ekf import check_gaussian
+from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
+from hitchhike_ros.localization.methods import Method, make_localizer
+from hitchhike_ros.localization.particle_localizer import ParticleLocalizer
+from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
+from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, InitialPose
+from hitchhike_ros.modules.module import Health, Level, Order, Orders, Outputs, Refused
+from hitchhike_ros.modules.robot_files import RobotFiles
+from hitchhike_ros.protocol.observations import Observations
+from hitchhike_ros.protocol.status import Status
+
+# A robot stands when it is slower than this, in m/s and rad/s (chosen).
+_STANDS = 1e-3
+_BAD: dict[type, str] = {
+    Odometry: "bad_odometry",
+    LaserScan: "bad_scans",
+    Observations: "bad_observations",
+    InitialPose: "bad_initialpose",
+    HandedOverObstacles: "bad_new_obstacles",
+}
+# What is taken while localization is off too.
+_ALWAYS = frozenset({InitialPose, HandedOverObstacles})
+# What is stored until the next step that something else asks for: a filter takes it at its own time.
+_PATIENT = (Odometry, Observations)
+
+
+@dataclass(frozen=True)
+class SlamParameters:
+    """Section ``slam``; all values are chosen."""
+
+    scan_timeout_s: Positive = 0.3
+    """Without a scan for longer than this, the module says so,"""
+    watch_period_s: Positive = 0.1
+    """and says it anew so often."""
+    map_period_s: Positive = 1.0
+    """The map is large and boxes grow with every scan: changes are told no more often."""
+    repeat_period_s: Positive = 0.5
+    """While localization is off, the last ``T_map_odom`` is told so often,"""
+    repeat_holds_s: Positive = 1.0
+    """and holds for so long: whoever looks on sees the robot go on by its wheels."""
+    rest_scan_period_s: Positive = 2.35
+    """Of a robot that stands, has no goal and knows its pose, a scan that was taken sooner than this after the last one
+    that was worked on is left out: what appears beside it goes into its map so much later."""
+    rest_pose_period_s: Positive = 0.75
+    """Meanwhile its pose is told so often: nobody waits longer than a second for one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlamOutputs(Outputs):
+    """What scans, or other inputs, give.
+
+    ``T_map_odom`` has the time from which it holds; ``particles`` (N, 3) are those of ``pose``.
+    """
+
+    pose: PoseEstimate | None = None
+    T_map_odom: tuple[float, Pose2D] | None = None
+    particles: FloatArray | None = None
+    grid: OccupancyGrid | None = None
+    boxes: FoundObstacles | None = None
+
+
+class Slam:
+    """Steps a localizer and a mapper with what has arrived, in the order in which it came."""
+
+    name: ClassVar[str] = "slam"
+    inputs: ClassVar[frozenset[type]] = frozenset(_BAD)
+
+    def __init__(
+        self,
+        params: SlamParameters,
+        localizer: Localizer,
+        mapper: NewObstacleMapper,
+        grid: OccupancyGrid,
+        T_base_laser: Pose2D,
+        *,
+        alone: bool = False,
+    ) -> None:
+        """A module that is off until the status says otherwise; ``alone`` it is on, whatever the status.
+
+        Args:
+            params: periods and timeouts.
+            localizer: has no estimate yet.
+            mapper: of the same grid.
+            grid: the original map.
+            T_base_laser: the laser's mount.
+            alone: whether it works without a status.
+        """
+        self._params, self._localizer, self._mapper = params, localizer, mapper
+        self._grid, self._T_base_laser, self._alone = grid, T_base_laser, alone
+        self._orders = Orders(Status(0.0, "") if alone else None)
+        self._arrived: deque[object] = deque()
+        self._asked = True  # whether the next step is to be taken at once
+        self._on = False
+        self._known: PoseEstimate | None = None  # where localization starts when it is switched on
+        self._pose_problem = ""  # of the newest initial pose, while there is no other
+        self._odometry_problem = ""
+        self._stands = False
+        self._settled = False  # whether a scan of the robot as it stands gave a pose
+        self._worked_at = self._told_at = -math.inf  # stamps of scans
+        self._scanned_at = self._watched_at = self._repeated_at = self._stepped_at = -math.inf
+        self._T_map_odom: Pose2D | None = None
+        self._mapped: tuple[Obstacle, ...] | None = None  # the boxes that were told last,
+        self._mapped_at = -math.inf  # and when
+        self._counters: Counter[str] = Counter()
+        self._health = Health(Level.OK, "off")
+
+    @classmethod
+    def build(cls, files: RobotFiles, *, method: str = "ekf", alone: bool = False, where: str = "") -> Slam:
+        """The module of the robot that ``files`` describe.
+
+        Args:
+            files: the sections ``slam``, ``localization`` and ``mapping``, the laser's mount, the markers and the map.
+            method: how to localize, :data:`.localization.methods.Method`.
+            alone: whether it works without a status.
+            where: ``method`` comes from, for errors.
+
+        Raises:
+            ParameterError: ``method`` is none, or a parameter is of no use.
+            HitchhikeError: a file cannot be used, or there is no map.
+        """
+        if method not in get_args(Method):
+            raise ParameterError(where, "~method", method, f"one of {', '.join(get_args(Method))}")
+        params = files.load(SlamParameters, "slam")
+        localization = files.load(LocalizerParameters, "localization")
+        mapping = files.load(MappingParameters, "mapping")
+        markers, T_base_laser = files.sites.markers, pose_from_matrix(files.mount("laser"))
+        grid = files.grid  # last, as it may have to be awaited
+        localizer = make_localizer(
+            "particle" if method == "particle" else "ekf", grid, markers, localization, T_base_laser
+        )
+        return cls(params, localizer, NewObstacleMapper(grid, mapping), grid, T_base_laser, alone=alone)
+
+    # What arrives.
+
+    def listens(self) -> frozenset[type]:
+        """While localization is off, only to what is told of pose and map."""
+        status = self._orders.newest()
+        on = status is not None and status.modules.LZN
+        return self.inputs if on else _ALWAYS
+
+    def sense(self, x: object, now: float) -> None:
+        """Store an input; all but odometry and markers make a step due."""
+        what = x.what if isinstance(x, Refused) else type(x)
+        if what in self.listens():
+            self._arrived.append(x)
+            self._asked = self._asked or what not in _PATIENT
+
+    def order(self, order: Order, now: float) -> None:
+        """The status says whether localization and mapping are on, whether there is a goal, and where others are."""
+        if isinstance(order, Status):
+            self._orders.put(order, now)
+            self._arrived.append(order)
+            self._asked = True
+
+    # What is asked.
+
+    @property
+    def can_globalize(self) -> bool:
+        """Whether the method can look for the robot everywhere."""
+        return isinstance(self._localizer, ParticleLocalizer)
+
+    def globalize(self) -> None:
+        """Forget where the robot is: it may be anywhere.
+
+        Raises:
+            HitchhikeError: localization is off, or its method cannot do that.
+        """
+        if not (self._on and isinstance(self._localizer, ParticleLocalizer)):
+            raise HitchhikeError("localization is off" if self.can_globalize else "the method has no particles")
+        self._settled = False
+        self._localizer.globalize()
+
+    # What comes of it.
+
+    def next_due(self, now: float) -> float:
+        """At once for what has arrived; on, when scans stay away; off, when ``T_map_odom`` is to be told again."""
+        if self._asked or now < self._stepped_at:
+            return now
+        if self._on:
+            return self._silent_from()
+        return math.inf if self._T_map_odom is None else self._repeated_at + self._params.repeat_period_s
+
+    def step(self, now: float) -> SlamOutputs:
+        """Take all that has arrived, in turn."""
+        if now < self._stepped_at:  # time has jumped back
+            self._scanned_at, self._watched_at, self._repeated_at, self._mapped_at = (
+                min(at, now) for at in (self._scanned_at, self._watched_at, self._repeated_at, self._mapped_at)
+            )
+        arrived, self._arrived, self._asked, self._stepped_at = self._arrived, deque(), False, now
+        said: dict[str, Any] = {}
+        if self._alone:
+            self._switch(on=True, now=now)
+        if self._mapped is None:
+            self._tell_map(now, said)
+        for x in arrived:
+            self._take(x, now, said)
+        if self._on and now >= self._silent_from():
+            self._watched_at, self._settled = now, False
+            self._say(Level.ERROR, f"no scan for {now - self._scanned_at:.1f} s")
+        elif not self._on and self._T_map_odom and now >= self._repeated_at + self._params.repeat_period_s:
+            self._repeated_at = now
+            said["T_map_odom"] = (now + self._params.repeat_holds_s, self._T_map_odom)
+        health = replace(self._health, counters={**self._health.counters, **self._counters})
+        return SlamOutputs(health=health, **said)
+
+    def _silent_from(self) -> float:
+        """When the next is to be said of scans that do not come."""
+        p = self._params
+        return max(self._scanned_at + p.scan_timeout_s, self._watched_at + p.watch_period_s)
+
+    def _take(self, x: object, now: float, said: dict[str, Any]) -> None:
+        match x:
+            case Status():
+                self._switch(on=x.modules.LZN, now=now)
+            case InitialPose():
+                self._start_from(x.estimate)
+            case HandedOverObstacles():
+                self._mapper.add(x.obstacles)
+                if self._mapper.obstacles != self._mapped:
+                    self._tell_map(now, said)
+            case Odometry() if self._on:
+                self._move(x)
+            case Observations() if self._on:
+                self._see(x)
+            case LaserScan() if self._on:
+                self._scanned_at, said["answered"] = now, x.stamp
+                self._work_on(x, now, said)
+            case Refused() if self._on or x.what in _ALWAYS:
+                if x.what is LaserScan:
+                    self._scanned_at, said["answered"] = now, x.stamp
+                self._refuse(x.what, x.reason)
+
+    def _refuse(self, what: type, reason: str) -> None:
+        self._counters[_BAD[what]] += 1
+        if what is Odometry:
+            # Where the robot went meanwhile is not known: no scan is worked on before usable odometry comes.
+            self._odometry_problem, self._settled = reason, False
+        elif what is LaserScan:
+            self._settled = False
+            self._say(Level.ERROR, reason)
+        elif what is InitialPose:
+            self._pose_problem = reason
+            self._say(Level.WARN, f"initialpose refused: {reason}")
+
+    # Where it starts.
+
+    def _switch(self, *, on: bool, now: float) -> None:
+        if on == self._on:
+            return
+        self._on = on
+        if not on:
+            if self._localizer.initialised:
+                self._known = self._localizer.estimate
+            self._repeated_at = now
+            self._say(Level.OK, "off")
+            return
+        # Odometry from before the pause says nothing about the way since: the filter starts anew.
+        self._localizer.restart()
+        self._odometry_problem, self._stands, self._settled = "", False, False
+        self._scanned_at = now
+        self._say(Level.OK, "waiting for scans")
+        if self._known is not None:
+            self._localizer.initialise(self._known)
+            self._known = None
+
+    def _start_from(self, estimate: PoseEstimate) -> None:
+        """Take up a pose that is known otherwise; what is none is refused before it gets into a filter."""
+        try:
+            check_gaussian(estimate.pose, estimate.covariance)
+        except ValueError as exc:
+            self._refuse(InitialPose, str(exc))
+            return
+        self._pose_problem, self._settled = "", False
+        if self._on:
+            self._localizer.initialise(estimate)
+        else:
+            self._known = estimate
+            self._say(Level.OK, "off")
+
+    # Localizing.
+
+    def _move(self, odometry: Odometry) -> None:
+        try:
+            self._localizer.predict(odometry)
+        except SensorDataError as exc:
+            self._refuse(Odometry, str(exc))
+            return
+        self._odometry_problem = ""
+        self._stands = max(abs(odometry.twist.v), abs(odometry.twist.omega)) <= _STANDS
+        self._settled = self._settled and self._stands
+
+    def _see(self, observations: Observations) -> None:
+        if not self._localizer.initialised:
+            return
+        try:
+            self._localizer.update_markers(observations.markers)
+        except SensorDataError as exc:
+            self._refuse(Observations, str(exc))
+
+    def _work_on(self, scan: LaserScan, now: float, said: dict[str, Any]) -> None:
+        """Localize and map by a scan, or leave it out."""
+        try:
+            if self._odometry_problem:
+                raise SensorDataError(self._odometry_problem)
+            if not self._localizer.initialised:
+                why = f": the one that was told is refused: {self._pose_problem}" if self._pose_problem else ""
+                self._say(Level.WARN, f"no initial pose yet{why}")
+                return
+            if self._may_leave_out(scan.stamp, now):
+                if not 0.0 <= scan.stamp - self._told_at < self._params.rest_pose_period_s:
+                    self._tell_pose(self._localizer.estimate_at(scan.stamp), said)
+                return
+            used = self._localizer.update_scan(scan)
+            estimate = self._localizer.estimate_at(scan.stamp)
+            self._tell_pose(estimate, said)
+            self._settled, self._worked_at = self._stands, scan.stamp
+            self._map(scan, estimate, now, said)
+        except SensorDataError as exc:
+            self._refuse(LaserScan, str(exc))
+            return
+        self._say_how(now, used=used)
+
+    def _may_leave_out(self, stamp: float, now: float) -> bool:
+        """Whether a scan need not be worked on, of a robot that stands, has nowhere to go and knows its pose."""
+        status = self._orders.get(now)
+        rests = self._settled and not self._alone and status is not None and status.goal is None
+        return rests and 0.0 <= stamp - self._worked_at < self._params.rest_scan_period_s
+
+    def _tell_pose(self, estimate: PoseEstimate, said: dict[str, Any]) -> None:
+        self._T_map_odom = compose(estimate.pose, inverse(self._localizer.odometry_at(estimate.stamp)))
+        self._told_at = estimate.stamp
+        said["pose"], said["T_map_odom"] = estimate, (estimate.stamp, self._T_map_odom)
+        if isinstance(self._localizer, ParticleLocalizer):
+            said["particles"] = self._localizer.particles
+
+    def _say_how(self, now: float, *, used: bool) -> None:
+        explained = self._localizer.explained
+        values = {} if explained is None else {"explained": round(explained, 2)}
+        stale = ""
+        try:
+            self._orders.at(now)
+        except StaleInputError as exc:
+            stale = str(exc)
+        if not used:
+            self._say(Level.WARN, "the scan shows too little of the map", **values)
+        elif stale:
+            self._say(Level.WARN, f"localizing, but {stale}", **values)
+        else:
+            self._say(Level.OK, "localizing", **values)
+
+    # Mapping.
+
+    def _map(self, scan: LaserScan, estimate: PoseEstimate, now: float, said: dict[str, Any]) -> None:
+        newest = self._orders.newest()
+        if newest is None or not newest.modules.MAP:
+            return
+        status = self._orders.get(now)  # where others were a while ago says nothing
+        others = [] if status is None else [(Pose2D(robot.x, robot.y), robot.radius_m) for robot in status.robots]
+        self._mapper.update(scan, estimate, self._T_base_laser, others)
+        if self._mapper.obstacles != self._mapped and now - self._mapped_at >= self._params.map_period_s:
+            self._tell_map(now, said)
+
+    def _tell_map(self, now: float, said: dict[str, Any]) -> None:
+        self._mapped, self._mapped_at = self._mapper.obstacles, now
+        said["boxes"] = FoundObstacles(self._mapper.obstacles)
+        said["grid"] = self._grid.with_obstacles(self._mapper.obstacles)
+
+    def _say(self, level: Level, reason: str, **values: object) -> None:
+        self._health = Health(level, reason, values)
