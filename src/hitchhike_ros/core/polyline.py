@@ -176,11 +176,20 @@ class Polyline:
             part._append(last, *self.point(last))
         return part
 
-    def extend(self, x: float, y: float) -> None:
-        """It goes straight on to (x, y), however near that is; where it ends already nothing changes."""
-        arc = self._arcs[-1] + math.hypot(x - self._xs[-1], y - self._ys[-1])
-        if arc > self._arcs[-1]:
-            self._append(arc, x, y)
+    def corners(self, first: float, last: float) -> list[tuple[float, float, float]]:
+        """The places where it bends, strictly between two arc lengths: (s, x, y) of each."""
+        inner = slice(bisect_right(self._arcs, first), bisect_left(self._arcs, last))
+        return list(zip(self._arcs[inner], self._xs[inner], self._ys[inner], strict=True))
+
+    def extend(self, x: float, y: float, s: float | None = None) -> None:
+        """It goes straight on to (x, y), however near that is; where it ends already nothing changes.
+
+        ``s`` is the arc length there where the caller counts it, as an odometer does.
+        """
+        if s is None:
+            s = self._arcs[-1] + math.hypot(x - self._xs[-1], y - self._ys[-1])
+        if s > self._arcs[-1]:
+            self._append(s, x, y)
 
     def forget_after(self, s: float) -> None:
         """It ends at arc length ``s``."""

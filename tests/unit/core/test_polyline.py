@@ -225,3 +225,18 @@ def test_it_grows_by_steps_however_small() -> None:
         path.extend(1e-5 * k, 0.0)
     assert (path.end_m, len(path.points)) == (pytest.approx(1e-3), 101)
     assert path.point(5.5e-4) == (pytest.approx(5.5e-4), 0.0)
+
+
+def test_corners_lie_strictly_between_two_arc_lengths() -> None:
+    path = Polyline(L)
+    assert path.corners(-1.0, 8.0) == [(0.0, 0.0, 0.0), (3.0, 3.0, 0.0), (7.0, 3.0, 4.0)]
+    assert path.corners(0.0, 7.0) == [(3.0, 3.0, 0.0)]
+    assert path.corners(3.0, 6.0) == []
+
+
+def test_an_odometer_may_count_otherwise() -> None:
+    path = Polyline([(0.0, 0.0)])
+    path.extend(1.0, 0.0, 1.1)
+    path.extend(5.0, 0.0, 1.1)  # it has not moved
+    assert path.points.tolist() == [[0.0, 0.0], [1.0, 0.0]]
+    assert path.point(0.55) == (0.5, 0.0)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.core.geometry import wrap_angle
+from hitchhike_ros.core.polyline import Polyline
 
 # Whoever drives looks along the chord of this much of its path to either side: it rounds corners, not turns at them.
 _CHORD_M = 0.5
 # So much of its own trail a robot remembers for those who follow it.
 _TRAIL_M = 12.0
-# It is looked for what can be forgotten when there are more points than so many (chosen).
-_KNOTS = 32
 _TINY_M = 1e-6
 
 
@@ -29,7 +27,7 @@ class Body:
         self.odometer_m = 0.0
         self._theta: float | None = pose.theta
         # What it has driven and what lies before it, by odometer: the trail behind, then the path ahead.
-        self._s, self._xs, self._ys = [0.0], [pose.x], [pose.y]
+        self._line = Polyline([(pose.x, pose.y)])
         self._leg_began = 0.0
         self._speed = 0.0
         self._end_theta: float | None = None
@@ -40,7 +38,7 @@ class Body:
     @property
     def moves(self) -> bool:
         """Whether it may be somewhere else a moment later."""
-        return self._leader is not None or (self._speed > 0.0 and self.odometer_m < self._s[-1])
+        return self._leader is not None or (self._speed > 0.0 and self.odometer_m < self._line.end_m)
 
     @property
     def speed_mps(self) -> float:
@@ -48,12 +46,12 @@ class Body:
             if self.odometer_m < self._target_m() - _TINY_M:
                 return self._top_speed
             return self._leader.speed_mps if self._sees else 0.0
-        return self._speed if self.odometer_m < self._s[-1] - _TINY_M else 0.0
+        return self._speed if self.odometer_m < self._line.end_m - _TINY_M else 0.0
 
     @property
     def remaining_m(self) -> float:
         """What is left of its path."""
-        return self._s[-1] - self.odometer_m
+        return self._line.end_m - self.odometer_m
 
     @property
     def leader(self) -> Body | None:
@@ -75,8 +73,7 @@ class Body:
     @property
     def path(self) -> list[tuple[float, float]]:
         """What lies before it, itself first."""
-        k = bisect_right(self._s, self.odometer_m)
-        return [(self.x, self.y), *zip(self._xs[k:], self._ys[k:], strict=True)]
+        return [(self.x, self.y), *((x, y) for _, x, y in self._line.corners(self.odometer_m, math.inf))]
 
     @property
     def pose(self) -> Pose2D:
@@ -98,16 +95,16 @@ class Body:
             if self._sees:
                 self._seen_m = self._leader.odometer_m
             self._creep(min(self._target_m(), self.odometer_m + self._top_speed * passed))
-        elif self._speed > 0.0 and self.odometer_m < self._s[-1]:
-            self._go_to(min(self.odometer_m + self._speed * passed, self._s[-1]))
+        elif self._speed > 0.0 and self.odometer_m < self._line.end_m:
+            self._go_to(min(self.odometer_m + self._speed * passed, self._line.end_m))
 
     def drive(self, path: FloatArray, speed_mps: float, end_theta: float | None) -> None:
         """Along ``path`` (N, 2), which begins here; at its end it looks along ``end_theta``, or as it came."""
         self._forget_future()
         for x, y in path[1:].tolist():
-            step = math.hypot(x - self._xs[-1], y - self._ys[-1])
-            if step > _TINY_M:
-                self._append(self._s[-1] + step, x, y)
+            x0, y0 = self._line.point(self._line.end_m)
+            if math.hypot(x - x0, y - y0) > _TINY_M:
+                self._line.extend(x, y)
         self._leg_began, self._speed, self._end_theta = self.odometer_m, speed_mps, end_theta
         if self.remaining_m <= _TINY_M:
             self._theta = self.theta if end_theta is None else end_theta
@@ -149,17 +146,7 @@ class Body:
 
     def point(self, s: float) -> tuple[float, float]:
         """Where it was, or will be, when the odometer says ``s``; as far as it remembers."""
-        knots = self._s
-        if s <= knots[0]:
-            return self._xs[0], self._ys[0]
-        if s >= knots[-1]:
-            return self._xs[-1], self._ys[-1]
-        k = bisect_right(knots, s)
-        f = (s - knots[k - 1]) / (knots[k] - knots[k - 1])
-        return (
-            self._xs[k - 1] + f * (self._xs[k] - self._xs[k - 1]),
-            self._ys[k - 1] + f * (self._ys[k] - self._ys[k - 1]),
-        )
+        return self._line.point(s)
 
     def _target_m(self) -> float:
         """On the own odometer, how far it may go behind its leader."""
@@ -177,50 +164,35 @@ class Body:
             (x0, y0), (x1, y1) = self._straight
             part = min(s, straight) - began
             f = part / self._joined_m if self._joined_m else 1.0
-            self._append(min(s, straight), x0 + f * (x1 - x0), y0 + f * (y1 - y0))
+            self._line.extend(x0 + f * (x1 - x0), y0 + f * (y1 - y0), min(s, straight))
         if s > straight:
             offset = self._leader_began - straight
-            for k in range(bisect_right(leader._s, max(self.odometer_m, straight) + offset), len(leader._s)):
-                if leader._s[k] >= s + offset:
-                    break
-                self._append(leader._s[k] - offset, leader._xs[k], leader._ys[k])
-            self._append(s, *leader.point(s + offset))
+            for arc, x, y in leader._line.corners(max(self.odometer_m, straight) + offset, s + offset):
+                self._line.extend(x, y, arc - offset)
+            self._line.extend(*leader.point(s + offset), s)
         self.odometer_m, self._theta = s, None
-        self.x, self.y = self._xs[-1], self._ys[-1]
+        self.x, self.y = self._line.point(self._line.end_m)
         self._prune()
 
-    def _append(self, s: float, x: float, y: float) -> None:
-        if s > self._s[-1]:
-            self._s.append(s)
-            self._xs.append(x)
-            self._ys.append(y)
-
     def _go_to(self, s: float) -> None:
-        if s > self._s[-1] - _TINY_M:
-            s = self._s[-1]
+        if s > self._line.end_m - _TINY_M:
+            s = self._line.end_m
         self.odometer_m = s
         self.x, self.y = self.point(s)
         self._theta = None
-        if s >= self._s[-1]:
+        if s >= self._line.end_m:
             self._theta = self._end_theta
         self._prune()
 
     def _forget_future(self) -> None:
         """What lies ahead is another matter from here on."""
-        k = bisect_right(self._s, self.odometer_m)
-        for knots in (self._s, self._xs, self._ys):
-            del knots[k:]
-        self._append(self.odometer_m, self.x, self.y)
+        self._line.forget_after(self.odometer_m)
         self._leader, self._sees = None, False
 
     def _prune(self) -> None:
         """Forget what is farther back than anybody follows; not at every step."""
-        if len(self._s) <= _KNOTS:
-            return
-        k = bisect_right(self._s, self.odometer_m - _TRAIL_M) - 1
-        if k > _KNOTS:
-            for knots in (self._s, self._xs, self._ys):
-                del knots[:k]
+        if self.odometer_m - self._line.start_m > 2.0 * _TRAIL_M:
+            self._line.forget_before(self.odometer_m - _TRAIL_M)
 
     def _heading(self) -> float:
         """Along the chord of the path around here."""
