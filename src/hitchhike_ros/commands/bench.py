@@ -21,6 +21,7 @@ from hitchhike_ros.commands.command_line import (
     run,
     seed_option,
 )
+from hitchhike_ros.commands.scenario_runs import drive_unseen
 from hitchhike_ros.experiments.bench.registry import BENCHMARKS, Options, load
 from hitchhike_ros.experiments.report.ride_report import figure_table
 from hitchhike_ros.experiments.report.screen import ProgressBars, console, show
@@ -45,7 +46,7 @@ _NAMES = "\b\nBenchmarks:\n" + "\n".join(f"  {name:<14}{what}" for name, what in
     "--seeds",
     metavar="N",
     type=click.IntRange(min=1),
-    help="So many, where a benchmark has seeds to choose from: faults.  [default: 10000]",
+    help="So many, where a benchmark has seeds to choose from.  [default: 10000 of faults, 5 of cost]",
 )
 @click.option("--quick", is_flag=True, help="Fewer seeds and smaller sizes, to see that it works.")
 @check_option
@@ -61,7 +62,8 @@ def command(
 ) -> int:
     """Run benchmarks one after the other and print their figures."""
     package = Path(rospkg.RosPack().get_path("hitchhike_ros"))
-    options = Options(package, data or package.parent / "shared" / "data", output, seed, quick, seeds)
+    data = data or package.parent / "shared" / "data"
+    options = Options(package, data, output, seed, quick, seeds, drive_unseen)
     figures: dict[str, list[Figure]] = {}
     screen, progress = console(), ProgressBars(console(sys.stderr))
     for name in names:

@@ -154,8 +154,10 @@ class RideProcesses:
         launch: Mapping[str, object] | None = None,
         monitor: Mapping[str, object] | None = None,
         port: int | None = None,
+        shown: bool = True,
     ) -> None:
-        self.folder, self.logs = folder, folder / "log"
+        """``shown`` says whether the monitor has this terminal; else what it says is in its log."""
+        self.folder, self.logs, self._shown = folder, folder / "log", shown
         arguments: dict[str, object] = {
             "world": world.path,
             "map": world.map,
@@ -203,6 +205,7 @@ class RideProcesses:
             self._monitor = subprocess.Popen(
                 ["rosrun", "hitchhike_ros", "ride_monitor", *remappings(self._monitor_arguments)],
                 stdin=subprocess.DEVNULL,
+                stdout=None if self._shown else log,
                 stderr=log,
                 env=self._launch.environment,
             )

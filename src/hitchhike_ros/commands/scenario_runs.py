@@ -44,9 +44,14 @@ class _Kept(_Digest, frozen=True):
 
 
 def drive(
-    scenario: RideScenario, seeds: Sequence[int], output: Path, port: int | None, report: Callable[[str], None]
+    scenario: RideScenario,
+    seeds: Sequence[int],
+    output: Path,
+    port: int | None,
+    report: Callable[[str], None],
+    shown: bool = True,
 ) -> ScenarioResult:
-    """All runs of a scenario, those left out that ended well before.
+    """All runs of a scenario, those left out that ended well before; ``shown``: what happens stands on the terminal.
 
     Raises:
         HitchhikeError: the scenario's world cannot be used.
@@ -60,7 +65,7 @@ def drive(
         digest = run_digest(scenario, world, package, code_folders(), versions(package))
         result = _kept(folder, digest)
         if result is None:
-            result = _drive_one(scenario, world, seed, folder, port)
+            result = _drive_one(scenario, world, seed, folder, port, shown)
             _keep(folder, digest, result)
             report(
                 f"  seed {seed}: {result.trouble or 'as it should end'}, {result.sim_s:.0f} s in {result.wall_s:.0f} s"
@@ -80,12 +85,23 @@ def code_folders() -> list[Path]:
     return [Path(folder) for folder in importlib.import_module("hitchhike_ros").__path__]
 
 
-def _drive_one(scenario: RideScenario, world: WorldFile, seed: int, folder: Path, port: int | None) -> RunResult:
+def drive_unseen(scenario: RideScenario, seed: int, output: Path) -> RunResult:
+    """One run, as a benchmark wants it: with nothing on the terminal.
+
+    Raises:
+        HitchhikeError: the scenario's world cannot be used.
+    """
+    return drive(scenario, [seed], output, None, lambda _text: None, shown=False).runs[0]
+
+
+def _drive_one(
+    scenario: RideScenario, world: WorldFile, seed: int, folder: Path, port: int | None, shown: bool
+) -> RunResult:
     monitor = {"tables": False, "deadline_s": _DEADLINE_S}
     for left in (RECORD, COUNTS):
         (folder / left).unlink(missing_ok=True)
     trouble = ""
-    with RideProcesses(world, seed, folder, scenario.launch, monitor, port) as ride:
+    with RideProcesses(world, seed, folder, scenario.launch, monitor, port, shown) as ride:
         try:
             ride.run()
         except HitchhikeError as exc:

@@ -32,7 +32,9 @@ class Driver:
         self.driven: list[int] = []
         self.trouble: dict[int, str] = {}
 
-    def __call__(self, _scenario: object, _world: object, seed: int, folder: Path, _port: object) -> RunResult:
+    def __call__(
+        self, _scenario: object, _world: object, seed: int, folder: Path, _port: object, _shown: object
+    ) -> RunResult:
         self.driven.append(seed)
         figures = (Figure("couple", 5.0 + seed, "s", 15.0),)
         return RunResult(seed, str(folder), self.trouble.get(seed, ""), figures, 90.0, 60.0)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from hitchhike_ros.experiments.report.tables import Table
 from hitchhike_ros.experiments.scenarios.progress import Progress
+from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario
 from hitchhike_ros.experiments.scoring.figures import Figure
+from hitchhike_ros.experiments.scoring.results import RunResult
 
 BENCHMARKS: dict[str, str] = {
     "planning": "searches on Moving AI's maps beside peers, growth with the map, repairs",
@@ -22,6 +24,7 @@ BENCHMARKS: dict[str, str] = {
     "itineraries": "chains of rides: optimal, and how time grows with the fleet",
     "faults": "fleets on bad networks and with robots that fail",
     "fleet": "up to 1000 robots in one grid world, and when riding pays",
+    "cost": "rides and driving alone with the real nodes, in separate processes and in one (an hour)",
 }
 """What ``bench`` measures, by name."""
 EXPERIMENTS: dict[str, str] = {
@@ -30,11 +33,16 @@ EXPERIMENTS: dict[str, str] = {
 """The papers' experiments that no robot is driven for, by name."""
 
 
+Drive = Callable[[RideScenario, int, Path], RunResult]
+"""Drives a scenario with a seed; what it leaves is in the folder, and may be there already."""
+
+
 @dataclass(frozen=True)
 class Options:
     """What the command line says. ``package`` and ``data`` are folders; what needs data that is missing is left out.
 
-    ``seeds`` is how many a benchmark takes that has seeds to choose from; None: as many as it thinks right.
+    ``seeds`` is how many a benchmark takes that has seeds to choose from; None: as many as it thinks right. ``drive``
+    drives a scenario with the real nodes, for those benchmarks that measure them.
     """
 
     package: Path
@@ -43,6 +51,7 @@ class Options:
     seed: int = 0
     quick: bool = False
     seeds: int | None = None
+    drive: Drive | None = None
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,22 @@ def stretch(record: RideRecord, robot: str, name: str, window: Window) -> Stretc
     return Stretch(name, *window, metres, modules)
 
 
+def pss_mb(record: RideRecord, robot: str, window: Window) -> float | None:
+    """The memory that the processes of a robot's nodes take together, in MB, on average over a window.
+
+    None where a node was not looked at in the window, or the robot has none.
+    """
+    nodes: dict[str, list[float]] = {}
+    for sample in record.memory:
+        if sample.node.startswith(f"/{robot}/"):
+            inside = nodes.setdefault(sample.node, [])
+            if window[0] <= sample.stamp <= window[1]:
+                inside.append(sample.pss_mb)
+    if not nodes or not all(nodes.values()):
+        return None
+    return float(sum(np.mean(sizes) for sizes in nodes.values()))
+
+
 def ride_steps(record: RideRecord, ride: Ride) -> list[Stretch]:
     """The hitchhiker's run in parts: before the ride, waiting, coupling, riding, handing over, and after it."""
     run = run_window(record.robots[ride.hitchhiker])
