@@ -10,8 +10,8 @@ import numpy as np
 from hitchhike_ros.core.datatypes import LaserScan, Pose2D, Positive, Side
 from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.core.geometry import wrap_angle
-from hitchhike_ros.localization.landmarks import CornerParameters, extract_lines
 from hitchhike_ros.mapping.laser import LaserNoise, end_points
+from hitchhike_ros.mapping.scan_lines import LineParameters, extract_lines
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def turn_along_wall(
     """
     ends = end_points(scan, T_base_laser, params.max_range_m)
     longest, turn = params.min_length_m, None
-    for chain in extract_lines(ends, LaserNoise(), CornerParameters()):
+    for chain in extract_lines(ends, LaserNoise(), LineParameters()):
         for line in chain:
             length = float(np.linalg.norm(ends.points[line.last] - ends.points[line.first]))
             along = line.direction

@@ -1,0 +1,98 @@
+"""Straight pieces of a scan: where they begin and end, and how they run."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D
+from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, end_points
+from hitchhike_ros.mapping.scan_lines import Line, LineParameters, extract_lines
+from laser_world import LASER, boxes_of, take_scan
+
+PARAMETERS, NOISE = LineParameters(), LaserNoise()
+
+
+def seen(points: FloatArray, beams: FloatArray | None = None) -> EndPoints:
+    """End points (N, 2) as of a laser in the origin whose beams are in their order."""
+    ranges = np.hypot(points[:, 0], points[:, 1])
+    return EndPoints(points, ranges, np.arange(len(points)) if beams is None else beams)
+
+
+def wall(start: tuple[float, float], end: tuple[float, float], count: int = 40) -> FloatArray:
+    return np.linspace(start, end, count)
+
+
+def ends_of(chains: list[list[Line]]) -> list[list[tuple[int, int]]]:
+    return [[(line.first, line.last) for line in chain] for chain in chains]
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.3, 3.0))
+def test_a_straight_wall_is_one_line_along_it(angle: float, away: float) -> None:
+    c, s = math.cos(angle), math.sin(angle)
+    points = wall((away, -1.0), (away, 1.0)) @ np.array([[c, s], [-s, c]])
+    ((line,),) = extract_lines(seen(points), NOISE, PARAMETERS)
+    assert (line.first, line.last) == (0, 39)
+    assert line.centre == pytest.approx(np.array([away * c, away * s]), abs=1e-9)
+    assert abs(line.direction @ [-s, c]) == pytest.approx(1.0)
+
+
+def test_a_straight_wall_in_noise_is_one_line() -> None:
+    box, rng = boxes_of([Obstacle("wall", -4.0, 1.0, 8.0, 0.2)]), np.random.default_rng(5)
+    for _ in range(20):
+        ends = end_points(take_scan(Pose2D(0.0, 0.0, 1.5), box, rng), LASER)
+        chains = extract_lines(ends, NOISE, PARAMETERS)
+        longest = max(itertools.chain(*chains), key=lambda line: line.last - line.first)
+        assert longest.last - longest.first > 200
+        assert abs(longest.direction[0] * math.cos(1.5) - longest.direction[1] * math.sin(1.5)) > 0.999
+
+
+def test_walls_that_meet_are_two_lines_of_one_chain_that_share_the_corner() -> None:
+    points = np.vstack([wall((2.0, -1.0), (2.0, 0.5)), wall((2.0, 0.5), (1.0, 0.5), 26)[1:]])
+    chains = extract_lines(seen(points), NOISE, PARAMETERS)
+    assert ends_of(chains) == [[(0, 39), (39, 64)]]
+    (one, two), corner = chains[0], points[39]
+    assert abs(one.direction @ two.direction) == pytest.approx(0.0, abs=1e-9)
+    # The corner belongs to neither fit: half of the time it is a reading of the other wall.
+    assert one.centre == pytest.approx((points[1] + points[38]) / 2.0)
+    assert abs((corner - one.centre) @ one.direction) == pytest.approx(0.75, abs=0.05)
+
+
+@pytest.mark.parametrize(("gap_m", "chains"), [(0.10, 1), (0.14, 2)])
+def test_a_gap_ends_a_chain(gap_m: float, chains: int) -> None:
+    points = np.vstack([wall((1.0, -1.0), (1.0, 0.0)), wall((1.0, gap_m), (1.0, 1.0))])
+    assert len(extract_lines(seen(points), NOISE, PARAMETERS)) == chains
+
+
+@pytest.mark.parametrize(("missing", "chains"), [(1, 1), (2, 2)])
+def test_beams_that_see_nothing_end_a_chain(missing: int, chains: int) -> None:
+    points, beams = wall((1.0, -1.0), (1.0, 1.0)), np.arange(40)
+    beams[20:] += missing
+    assert len(extract_lines(seen(points, beams), NOISE, PARAMETERS)) == chains
+
+
+def test_a_bend_within_the_noise_is_none_and_a_deeper_one_is() -> None:
+    for depth, count in ((0.03, 1), (0.3, 2)):
+        points = np.vstack([wall((2.0, -1.0), (2.0 - depth, 0.0)), wall((2.0 - depth, 0.0), (2.0, 1.0))[1:]])
+        assert [len(chain) for chain in extract_lines(seen(points), NOISE, PARAMETERS)] == [count], depth
+
+
+def test_pieces_that_are_one_line_after_all_are_joined() -> None:
+    """An outlier splits a wall twice; what lies on both sides of it is the same wall."""
+    points = wall((1.0, -1.0), (1.0, 1.0), 60)
+    points[30] -= (0.11, 0.0)
+    assert max(line.last - line.first for line in itertools.chain(*extract_lines(seen(points), NOISE, PARAMETERS))) < 59
+    points[30] += (0.07, 0.0)
+    assert ends_of(extract_lines(seen(points), NOISE, PARAMETERS)) == [[(0, 59)]]
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_too_few_points_are_no_line(count: int) -> None:
+    assert extract_lines(seen(wall((1.0, 0.0), (1.0, 0.2), 5)[:count]), NOISE, PARAMETERS) == []
+    points = np.vstack([wall((1.0, -1.0), (1.0, 0.0)), wall((1.0, 1.0), (1.0, 1.2), 5)])
+    assert ends_of(extract_lines(seen(points), NOISE, PARAMETERS)) == [[(0, 39)]]
