@@ -39,7 +39,7 @@ from hitchhike_ros.simulation.world_file import WorldFile, load_world
 
 
 @dataclass(frozen=True)
-class Options:
+class DemoOptions:
     """What is driven: which world, with which seeds, and where it is left."""
 
     world: WorldFile
@@ -87,13 +87,13 @@ def command(
     default = Path(rospkg.RosPack().get_path("hitchhike_ros")) / "maps" / "p17_exp1.world.yaml"
     folder = writable((output or Path("runs") / time.strftime("%Y-%m-%d-%H%M%S")).resolve())
     shows = rviz == "true" or (rviz == "auto" and bool(os.environ.get("DISPLAY")) and shutil.which("rviz") is not None)
-    options = Options(load_world((world or default).resolve()), range(seed, seed + runs), folder, shows, check)
+    options = DemoOptions(load_world((world or default).resolve()), range(seed, seed + runs), folder, shows, check)
     reports, well = _drive(options)
     _summarize(options, reports, json_file)
     return 0 if well else 1
 
 
-def _drive(options: Options) -> tuple[list[dict[str, Any]], bool]:
+def _drive(options: DemoOptions) -> tuple[list[dict[str, Any]], bool]:
     """What the rides have left to be read, and whether all went well."""
     reports: list[dict[str, Any]] = []
     well, count = True, len(options.seeds)
@@ -117,7 +117,7 @@ def _drive(options: Options) -> tuple[list[dict[str, Any]], bool]:
     return reports, well
 
 
-def _summarize(options: Options, reports: Sequence[dict[str, Any]], json_file: Path | None) -> None:
+def _summarize(options: DemoOptions, reports: Sequence[dict[str, Any]], json_file: Path | None) -> None:
     """The table over several runs, and the JSON."""
     runs = [msgspec.convert(report["figures"], list[Figure]) for report in reports]
     completed, count = sum(report["completed"] for report in reports), len(options.seeds)

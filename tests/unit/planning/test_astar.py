@@ -16,7 +16,7 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from hitchhike_ros.experiments.bench.moving_ai import load_moving_ai_map, load_scenarios
+from hitchhike_ros.experiments.bench.moving_ai import load_moving_ai_map, load_problems
 from hitchhike_ros.mapping.grid import FREE
 from hitchhike_ros.planning.astar import search, search_reference
 from hitchhike_ros.planning.dstar_lite import DStarLite
@@ -178,7 +178,7 @@ def test_moving_ai_scenarios_have_the_optimal_length(shared_data, name):
     if not file.exists():
         pytest.skip(f"{file} is not there")
     cost = np.where(load_moving_ai_map(file).data == FREE, 1, np.inf).astype(np.float32)
-    scenarios = load_scenarios(file.with_suffix(".map.scen"))
+    scenarios = load_problems(file.with_suffix(".map.scen"))
     its = DStarLite(cost)
     for scenario in scenarios[:: max(1, len(scenarios) // 25)]:
         for plan in (partial(search, cost), its.plan):

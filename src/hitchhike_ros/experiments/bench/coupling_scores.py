@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hitchhike_ros.core.datatypes import PoseEstimate
 from hitchhike_ros.experiments.scenarios.composed_record import ComposedRecorder
-from hitchhike_ros.experiments.scenarios.couplings import CHANGES, LIMIT_S, RIDER, SIGMA, Place, build
+from hitchhike_ros.experiments.scenarios.couplings import CHANGES, LIMIT_S, RIDER, SIGMA, CouplingPlace, build
 from hitchhike_ros.experiments.scoring.rides import find_ride
 from hitchhike_ros.simulation.composed import ComposedRide
 from hitchhike_ros.simulation.physics.world import World
@@ -23,7 +23,7 @@ class CouplingResult:
     contacts: tuple[str, ...]
 
 
-def couple(package: Path, place: Place, seed: int) -> CouplingResult:
+def couple(package: Path, place: CouplingPlace, seed: int) -> CouplingResult:
     """One short ride, until its hitchhiker drives on by itself."""
     file = build(place, package, seed)
     with World(file, seed, package=package) as world:

@@ -11,7 +11,7 @@ import numpy as np
 from hitchhike_ros.experiments.bench.coupling_scores import CouplingResult, couple
 from hitchhike_ros.experiments.bench.following_scores import RideResult, ride
 from hitchhike_ros.experiments.bench.registry import Findings, Options
-from hitchhike_ros.experiments.scenarios.couplings import MARKER, WALL, Place
+from hitchhike_ros.experiments.scenarios.couplings import MARKER, WALL, CouplingPlace
 from hitchhike_ros.experiments.scenarios.following_rides import CORNERS, FAST, S_BEND, STRAIGHT, Course
 from hitchhike_ros.experiments.scenarios.lost_drivers import RIDES_ON_S, LostResult, lose
 from hitchhike_ros.experiments.scenarios.progress import Progress
@@ -50,15 +50,15 @@ def run(options: Options, progress: Progress) -> Findings:
     lost = runs("drivers lost", partial(lose, options.package), _LOST_QUICK, _LOST_SEEDS)
     figures = [
         *(figure for place, results in coupled.items() for figure in coupling_figures(place, results)),
-        *ride_figures(STRAIGHT, straight),
+        *course_figures(STRAIGHT, straight),
         Figure(f"{STRAIGHT.name}: gap error, RMS", _worst(r.gap_rms_m for r in straight), "m", _STRAIGHT_GAP_M),
         Figure(f"{STRAIGHT.name}: lateral, RMS", _worst(r.lateral_rms_m for r in straight), "m", _STRAIGHT_LATERAL_M),
-        *ride_figures(FAST, fast),
+        *course_figures(FAST, fast),
         Figure(f"{FAST.name}: gap error, RMS", _worst(r.gap_rms_m for r in fast), "m"),
-        *ride_figures(CORNERS, corners),
+        *course_figures(CORNERS, corners),
         Figure(f"{CORNERS.name}: lateral, most", _worst(r.lateral_max_m for r in corners), "m", _CORNER_LATERAL_M),
         Figure(f"{CORNERS.name}: gap error, RMS", _worst(r.gap_rms_m for r in corners), "m"),
-        *ride_figures(S_BEND, s_bend),
+        *course_figures(S_BEND, s_bend),
         Figure(f"{S_BEND.name}: lateral, most", _worst(r.lateral_max_m for r in s_bend), "m"),
         Figure(f"{S_BEND.name}: gap error, RMS", _worst(r.gap_rms_m for r in s_bend), "m"),
         *lost_figures(lost),
@@ -66,7 +66,7 @@ def run(options: Options, progress: Progress) -> Findings:
     return Findings(figures)
 
 
-def coupling_figures(place: Place, results: tuple[CouplingResult, ...]) -> list[Figure]:
+def coupling_figures(place: CouplingPlace, results: tuple[CouplingResult, ...]) -> list[Figure]:
     """Medians over the runs; None where a run did not come so far, which no bound forgives."""
     rows = (
         ("coupling", [r.couple_s for r in results], _COUPLE_S[place], _PAPER_COUPLE_S[place]),
@@ -82,7 +82,7 @@ def coupling_figures(place: Place, results: tuple[CouplingResult, ...]) -> list[
     return figures
 
 
-def ride_figures(course: Course, rides: tuple[RideResult, ...]) -> list[Figure]:
+def course_figures(course: Course, rides: tuple[RideResult, ...]) -> list[Figure]:
     """What has to hold on every course: all rides are completed, nothing is touched, the marker is never lost."""
     name, count = course.name, float(len(rides))
     return [

@@ -51,10 +51,10 @@ def ride(package: Path, course: Course, seed: int) -> RideResult:
             rode = rode or rider.state == "riding"
             if rode and rider.role != "hitchhiker":
                 break
-        return score(recorder.record, seed, composed.robots[RIDER].status.reason)
+        return score_ride(recorder.record, seed, composed.robots[RIDER].status.reason)
 
 
-def score(record: RideRecord, seed: int, end: str) -> RideResult:
+def score_ride(record: RideRecord, seed: int, end: str) -> RideResult:
     """Errors from coupling to decoupling; a ride that does not come so far has none."""
     found = find_ride(record)
     contacts = tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in record.contacts)

@@ -19,11 +19,19 @@ from matplotlib.figure import Figure as Picture
 
 from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.report.tables import Table, mark
-from hitchhike_ros.experiments.scenarios.grid_waits import DRIVERS, Job, Mode, Outcome, make_world, orders, scenario_of
+from hitchhike_ros.experiments.scenarios.grid_waits import (
+    DRIVERS,
+    Job,
+    WaitOutcome,
+    make_world,
+    orders,
+    scenario_of,
+)
 from hitchhike_ros.experiments.scenarios.grid_waits import run as run_one
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import run_all, write_results
 from hitchhike_ros.experiments.scoring.figures import Figure
+from hitchhike_ros.protocol.parameters import Mode
 from hitchhike_ros.simulation.grid.drawing import Recorder, animate, draw_state
 
 # P18 §8.1.1 to §8.1.3: seconds in all without a network and with it, in the order of the runs.
@@ -39,11 +47,11 @@ _GIF_PERIOD_S = 2.0
 class _Results:
     """The outcomes of all runs of one seed."""
 
-    no_drivers: dict[Mode, list[Outcome]]
-    denied: dict[Mode, list[Outcome]]
-    speed: dict[Mode, list[Outcome]]
-    profiles: dict[Mode, list[Outcome]]
-    delays: dict[float, list[Outcome]]
+    no_drivers: dict[Mode, list[WaitOutcome]]
+    denied: dict[Mode, list[WaitOutcome]]
+    speed: dict[Mode, list[WaitOutcome]]
+    profiles: dict[Mode, list[WaitOutcome]]
+    delays: dict[float, list[WaitOutcome]]
 
 
 def run(options: Options, progress: Progress) -> Findings:
@@ -92,8 +100,8 @@ def _results(options: Options, progress: Progress) -> list[_Results]:
     return [_sorted(outcomes[k * per_seed : (k + 1) * per_seed]) for k in range(len(seeds))]
 
 
-def _sorted(outcomes: Sequence[Outcome]) -> _Results:
-    def those(experiment: str) -> dict[Mode, list[Outcome]]:
+def _sorted(outcomes: Sequence[WaitOutcome]) -> _Results:
+    def those(experiment: str) -> dict[Mode, list[WaitOutcome]]:
         plain = [o for o in outcomes if o.job.experiment == experiment and o.job.delay_s is None]
         return {mode: [o for o in plain if o.job.mode == mode] for mode in _MODES}
 
@@ -169,7 +177,7 @@ def _rows(results: _Results) -> list[_Row]:
     ]
 
 
-def _total(outcomes: Sequence[Outcome]) -> float:
+def _total(outcomes: Sequence[WaitOutcome]) -> float:
     return float(sum(outcome.wait_s for outcome in outcomes))
 
 

@@ -19,7 +19,7 @@ _VALUES = {".": FREE, "G": FREE, "@": OCCUPIED, "O": OCCUPIED, "T": OCCUPIED}
 
 
 @dataclass(frozen=True)
-class Scenario:
+class SearchProblem:
     """A problem on a map: cells as (row, column) of the grid, and the optimal length in cells as the file rounds it.
 
     A step costs 1 or √2, and a diagonal one needs both cells beside it free.
@@ -61,7 +61,7 @@ def load_moving_ai_map(path: Path | str, resolution: float = 1.0) -> OccupancyGr
     return OccupancyGrid(np.flipud(data), resolution)
 
 
-def load_scenarios(path: Path | str) -> list[Scenario]:
+def load_problems(path: Path | str) -> list[SearchProblem]:
     """The problems of a ``.scen`` file, version 1.
 
     Raises:
@@ -73,7 +73,7 @@ def load_scenarios(path: Path | str) -> list[Scenario]:
     return [_scenario(path, f"line {number}", line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
 
 
-def _scenario(path: Path | str, field: str, line: str) -> Scenario:
+def _scenario(path: Path | str, field: str, line: str) -> SearchProblem:
     expected = "bucket, map, width, height, start x, start y, goal x, goal y, optimal length"
     try:
         _bucket, name, *numbers, optimal = line.split()
@@ -86,7 +86,7 @@ def _scenario(path: Path | str, field: str, line: str) -> Scenario:
             raise MapFileError(path, field, f"{x} {y}", f"a cell of a map of {width} x {height}")
     if not 0 <= length < math.inf:
         raise MapFileError(path, field, length, "a length")
-    return Scenario(name, (height - 1 - start_y, start_x), (height - 1 - goal_y, goal_x), length)
+    return SearchProblem(name, (height - 1 - start_y, start_x), (height - 1 - goal_y, goal_x), length)
 
 
 def _lines(path: Path | str) -> list[str]:

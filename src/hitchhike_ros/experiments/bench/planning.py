@@ -21,7 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Picture
 
 from hitchhike_ros.core.datatypes import FloatArray
-from hitchhike_ros.experiments.bench.moving_ai import Scenario, load_moving_ai_map, load_scenarios
+from hitchhike_ros.experiments.bench.moving_ai import SearchProblem, load_moving_ai_map, load_problems
 from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
@@ -36,7 +36,7 @@ _BLOCKED = 0.25
 # Changes near the robot: so many cells, at most so many rows and columns away.
 _CHANGED, _NEAR = 20, 10
 
-_Problem = tuple[CostArray, Scenario]
+_Problem = tuple[CostArray, SearchProblem]
 
 
 def run(options: Options, progress: Progress) -> Findings:
@@ -59,7 +59,7 @@ def _problems(folder: Path) -> list[_Problem]:
     problems: list[_Problem] = []
     for file in sorted(folder.glob("*.map")):
         cost = np.where(load_moving_ai_map(file).data == FREE, 1, np.inf).astype(np.float32)
-        problems += [(cost, scenario) for scenario in load_scenarios(file.with_suffix(".map.scen"))]
+        problems += [(cost, scenario) for scenario in load_problems(file.with_suffix(".map.scen"))]
     return problems
 
 
@@ -233,7 +233,7 @@ def _ratio(times: FloatArray, peer: int) -> float:
     return float(medians[0] / medians[peer])
 
 
-def _ends(scenario: Scenario) -> tuple[Cell, Cell]:
+def _ends(scenario: SearchProblem) -> tuple[Cell, Cell]:
     return scenario.start, scenario.goal
 
 

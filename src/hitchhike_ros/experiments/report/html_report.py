@@ -26,7 +26,7 @@ from hitchhike_ros.experiments.report.report_plots import (
     state_text,
     time_axis,
 )
-from hitchhike_ros.experiments.report.ride_frames import Frame, find_frames
+from hitchhike_ros.experiments.report.ride_frames import CameraFrame, find_frames
 from hitchhike_ros.experiments.report.ride_report import bound, label, number
 from hitchhike_ros.experiments.report.tables import BAD, GOOD, Table, mark
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
@@ -259,7 +259,7 @@ def _world(folder: Path) -> tuple[WorldFile | None, OccupancyGrid | None]:
     return None, None
 
 
-def _frame_view(frame: Frame) -> _FrameView:
+def _frame_view(frame: CameraFrame) -> _FrameView:
     caption = f"{frame.stamp:.1f} s, {frame.robot}: {frame.state.replace('_', ' ')}"
     return _FrameView(frame.stamp, caption, data_uri(frame.path.read_bytes(), "image/jpeg"))
 

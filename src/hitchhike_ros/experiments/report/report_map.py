@@ -41,7 +41,7 @@ class Background:
 
 
 @dataclass(frozen=True)
-class Track:
+class MapTrack:
     """Where a robot went; ``aboard`` are the parts of it on which it rode."""
 
     robot: str
@@ -73,7 +73,7 @@ class MapPicture:
     markers: tuple[tuple[float, float], ...]
     true_boxes: tuple[Rectangle, ...]
     found_boxes: tuple[Rectangle, ...]
-    tracks: tuple[Track, ...]
+    tracks: tuple[MapTrack, ...]
     contacts: tuple[tuple[float, float], ...]
 
 
@@ -155,7 +155,7 @@ def data_uri(content: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def _track(record: RideRecord, index: int, name: str, rides: Sequence[NetworkRide]) -> Track:
+def _track(record: RideRecord, index: int, name: str, rides: Sequence[NetworkRide]) -> MapTrack:
     truth = sorted(record.robots[name].truth, key=lambda p: p.stamp)
     track = np.array([(p.stamp, p.x, p.y) for p in truth])
     own = [ride for ride in rides if ride.hitchhiker == name]
@@ -165,7 +165,7 @@ def _track(record: RideRecord, index: int, name: str, rides: Sequence[NetworkRid
         part = track[(track[:, 0] >= ride.riding_at) & (track[:, 0] <= end)]
         aboard.append(_points(part[:, 1:]))
     start, end_at = (round(track[0, 1], 2), round(-track[0, 2], 2)), (round(track[-1, 1], 2), round(-track[-1, 2], 2))
-    return Track(name, index, _points(track[:, 1:]), tuple(part for part in aboard if part), start, end_at)
+    return MapTrack(name, index, _points(track[:, 1:]), tuple(part for part in aboard if part), start, end_at)
 
 
 def _points(points: FloatArray) -> str:

@@ -38,7 +38,7 @@ _LATERAL_POINTS = 200  # of a curve, as each costs a search
 
 
 @dataclass(frozen=True)
-class Tick:
+class AxisTick:
     """A place on an axis, in percent from its beginning."""
 
     percent: float
@@ -71,8 +71,8 @@ class TimeAxis:
         return round(100.0 * min(max((stamp - self.start) / self.span, 0.0), 1.0), 3)
 
     @property
-    def ticks(self) -> list[Tick]:
-        return [Tick(self.percent(t), f"{t:g}") for t in round_values(self.start, self.end, _TICKS)]
+    def ticks(self) -> list[AxisTick]:
+        return [AxisTick(self.percent(t), f"{t:g}") for t in round_values(self.start, self.end, _TICKS)]
 
     def bar(self, begin: float, end: float, text: str, kind: str) -> Bar:
         left = self.percent(begin)

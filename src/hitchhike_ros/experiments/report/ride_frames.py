@@ -24,7 +24,7 @@ _NAME = re.compile(r"(\d+\.\d+)-(\w+)-(\w+)\.jpg")
 
 
 @dataclass(frozen=True)
-class Frame:
+class CameraFrame:
     """A camera frame that was kept."""
 
     stamp: float
@@ -88,13 +88,13 @@ def frame_name(stamp: float, robot: str, state: str) -> str:
     return f"{stamp:08.2f}-{robot}-{state}.jpg"
 
 
-def find_frames(folder: Path) -> list[Frame]:
+def find_frames(folder: Path) -> list[CameraFrame]:
     """The frames that a run left in its ``folder``, in order of time."""
     found = []
     for path in sorted((folder / FOLDER).glob("*.jpg")):
         match = _NAME.fullmatch(path.name)
         if match is not None:
-            found.append(Frame(float(match[1]), match[2], match[3], path))
+            found.append(CameraFrame(float(match[1]), match[2], match[3], path))
     return found
 
 

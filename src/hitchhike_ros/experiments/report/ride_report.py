@@ -9,7 +9,7 @@ from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from hitchhike_ros.core.datatypes import Obstacle
-from hitchhike_ros.experiments.report.screen import Line, Part
+from hitchhike_ros.experiments.report.screen import FittedLine, Part
 from hitchhike_ros.experiments.report.tables import Table, mark
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
 from hitchhike_ros.experiments.scoring.boxes import BoxMatch
@@ -39,7 +39,7 @@ _DECIMALS = {"s": 1, "%": 1, "m": 3, "s/s": 3, "deg": 2, "sigma": 2, "points": 2
 
 
 @dataclass(frozen=True)
-class Progress:
+class RideProgress:
     """Where a run stands now; None for what is not known, or is not at hand at this step."""
 
     step: str
@@ -52,14 +52,14 @@ class Progress:
     real_time_factor: float | None = None
 
 
-def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | None) -> Progress:
+def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | None) -> RideProgress:
     """Where the run stands, from the newest of everything recorded."""
     sim_s = record.lasted[0] if record.clock else None
     if ride is None:
         if all(robot.arrived for robot in record.robots.values()):
-            return Progress(ARRIVED, sim_s=sim_s, real_time_factor=real_time_factor)
+            return RideProgress(ARRIVED, sim_s=sim_s, real_time_factor=real_time_factor)
         started = any(robot.newest_status is not None for robot in record.robots.values())
-        return Progress("Waiting for a request" if started else "Starting", None, sim_s=sim_s)
+        return RideProgress("Waiting for a request" if started else "Starting", None, sim_s=sim_s)
     rider = record.robots[ride.hitchhiker].newest_status
     driver = record.robots[ride.driver].newest_status if ride.driver is not None else None
     step = "Driving on alone"
@@ -71,7 +71,7 @@ def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | No
         step = ARRIVED
     reported = driver.ride if driver is not None else None
     aboard = ride.riding_at is not None and ride.released_at is None
-    return Progress(
+    return RideProgress(
         step=step,
         ridden_m=reported.ridden_m if reported is not None and aboard else None,
         ride_m=reported.ride_m if reported is not None and aboard else None,
@@ -83,7 +83,7 @@ def progress(record: RideRecord, ride: Ride | None, real_time_factor: float | No
     )
 
 
-def live_line(now: Progress) -> Line:
+def live_line(now: RideProgress) -> FittedLine:
     """Where the run stands, in one line."""
     parts = [Part(Text(now.step.ljust(_STEP_WIDTH), "bold"), 0)]
     if now.ridden_m is not None and now.ride_m:
@@ -98,10 +98,10 @@ def live_line(now: Progress) -> Line:
         parts.append(Part(Text(f"{now.sim_s:.1f} s", "dim"), 5))
     if now.real_time_factor is not None:
         parts.append(Part(Text(f"{now.real_time_factor:.2f}×", "dim"), 4))
-    return Line(parts)
+    return FittedLine(parts)
 
 
-def change(now: Progress) -> str:
+def change(now: RideProgress) -> str:
     """What makes the line worth a line of its own where it is not rewritten: the step and the modules."""
     return f"{now.step} {'' if now.modules is None else module_names(now.modules)}"
 

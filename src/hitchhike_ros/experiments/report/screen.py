@@ -86,7 +86,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Line:
+class FittedLine:
     """Parts side by side in one line that never wraps."""
 
     parts: Sequence[Part]

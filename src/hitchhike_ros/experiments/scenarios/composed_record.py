@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hitchhike_ros.experiments.scenarios.ride_record import Contact
+from hitchhike_ros.experiments.scenarios.ride_record import RecordedContact
 from hitchhike_ros.experiments.scenarios.ride_recorder import RideRecorder
 from hitchhike_ros.simulation.composed import ComposedRide
 
@@ -33,5 +33,5 @@ class ComposedRecorder:
                 for estimate in robot.taken[len(known.initial_poses) :]:
                     recorder.initial_pose(name, estimate)
             for contact in world.contacts()[len(self.record.contacts) :]:
-                recorder.contact(Contact(contact.stamp, contact.robot, contact.other, contact.x, contact.y))
+                recorder.contact(RecordedContact(contact.stamp, contact.robot, contact.other, contact.x, contact.y))
             yield world.now

@@ -122,7 +122,7 @@ def drive(package: Path, seed: int) -> DriveResult:
             if robot.status.state == "idle" and world.now > 2.0:
                 break
         truth, _ = body.ground_truth()
-        found, phantoms, place, size = compare(robot.obstacles, file.boxes)
+        found, phantoms, place, size = compare_boxes(robot.obstacles, file.boxes)
         return DriveResult(
             seed,
             name,
@@ -141,7 +141,9 @@ def drive(package: Path, seed: int) -> DriveResult:
         )
 
 
-def compare(found: Sequence[Obstacle], true: Sequence[Obstacle]) -> tuple[int, tuple[Obstacle, ...], float, float]:
+def compare_boxes(
+    found: Sequence[Obstacle], true: Sequence[Obstacle]
+) -> tuple[int, tuple[Obstacle, ...], float, float]:
     """How many true boxes were found, which found ones are none, and the worst errors of place and of size in m."""
     phantoms, matched, place, size = [], set(), 0.0, 0.0
     for box in found:

@@ -27,7 +27,7 @@ CHANGES: dict[str, Changes] = {name: {"hitchhiking": {"min_ride_m": 0.5 * _RIDE_
 
 
 @dataclass(frozen=True)
-class Place:
+class CouplingPlace:
     """A hitchhiking point, and how the hitchhiker stands there: x, y in m and theta in rad about its waiting pose.
 
     ``sigma`` are standard deviations, but a heading of infinite spread is any heading.
@@ -38,11 +38,11 @@ class Place:
     sigma: tuple[float, float, float]
 
 
-MARKER = Place("with a marker", "p17_exp1", (0.05, 0.05, 0.05))
-WALL = Place("by the left wall, from any heading", "p17_exp2", (0.1, 0.1, np.inf))
+MARKER = CouplingPlace("with a marker", "p17_exp1", (0.05, 0.05, 0.05))
+WALL = CouplingPlace("by the left wall, from any heading", "p17_exp2", (0.1, 0.1, np.inf))
 
 
-def build(place: Place, package: Path, seed: int) -> WorldFile:
+def build(place: CouplingPlace, package: Path, seed: int) -> WorldFile:
     """The world file of a place with the pair of a seed."""
     file = load_world(package / "maps" / f"{place.world}.world.yaml")
     point, rng = file.sites.hitchhiking_points[0], np.random.default_rng([seed, 41])

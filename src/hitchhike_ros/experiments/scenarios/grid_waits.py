@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.protocol.parameters import Mode
 from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.simulation.grid.scenario import Scenario, build, load_scenario
 from hitchhike_ros.simulation.grid.world import GridWorld
 
-Mode = Literal["local", "network"]
 HITCHHIKER = "H"
 DRIVERS = ("D1", "D2", "D3")
 # Offers are waited for until they can have come: there, back, and this much more for ticks (chosen).
@@ -39,7 +39,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class WaitOutcome:
     """What became of the hitchhiker. Times are seconds since it was given its goal, None where it did not happen.
 
     ``wait_s`` is the paper's wait: until it is denied by all, gives up, or has its driver before it.
@@ -57,7 +57,7 @@ class Outcome:
     duration_s: float
 
 
-def run(job: Job) -> Outcome:
+def run(job: Job) -> WaitOutcome:
     """Simulate it.
 
     Raises:
@@ -75,7 +75,7 @@ def run(job: Job) -> Outcome:
     over = [time for time in (left, met) if time is not None]
     # In a network it leaves once all have denied; without, the paper counts until the only one to come has denied.
     wait = min([*over, *(denials if job.mode == "local" else [])])
-    return Outcome(
+    return WaitOutcome(
         job=job,
         wait_s=wait,
         denied_s=denials[-1] if denials else None,

@@ -42,7 +42,7 @@ class TimedEstimate(TimedPose):
 
 
 @dataclass(frozen=True)
-class Sighting(TimedPose):
+class TimedSighting(TimedPose):
     """A marker as visual servoing saw it, in base_footprint."""
 
     marker_id: int
@@ -57,7 +57,7 @@ class TimedText:
 
 
 @dataclass(frozen=True)
-class Contact:
+class RecordedContact:
     """A robot touched something at (x, y)."""
 
     stamp: float
@@ -128,7 +128,7 @@ class RobotRecord:
     estimates: list[TimedEstimate] = field(default_factory=list)  # amcl_pose
     initial_poses: list[TimedEstimate] = field(default_factory=list)  # initialpose
     statuses: list[Status] = field(default_factory=list)  # changes only
-    sightings: list[Sighting] = field(default_factory=list)
+    sightings: list[TimedSighting] = field(default_factory=list)
     obstacles: tuple[Obstacle, ...] = ()  # the new boxes in its map, newest
     awards: list[Award] = field(default_factory=list)
     newest_status: Status | None = None
@@ -165,7 +165,7 @@ class RideRecord:
     true_boxes: tuple[Obstacle, ...]
     robots: dict[str, RobotRecord]
     messages: list[TimedText] = field(default_factory=list)
-    contacts: list[Contact] = field(default_factory=list)
+    contacts: list[RecordedContact] = field(default_factory=list)
     cpu: list[CpuSample] = field(default_factory=list)
     traffic: list[TrafficSample] = field(default_factory=list)
     memory: list[MemorySample] = field(default_factory=list)

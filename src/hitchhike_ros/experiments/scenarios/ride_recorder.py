@@ -15,15 +15,15 @@ from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.robot_model import mount
 from hitchhike_ros.experiments.scenarios.ride_record import (
     ClockSample,
-    Contact,
     CpuSample,
     MemorySample,
+    RecordedContact,
     RideRecord,
     RobotRecord,
-    Sighting,
     StepSample,
     TimedEstimate,
     TimedPose,
+    TimedSighting,
     TimedText,
     TrafficSample,
 )
@@ -125,14 +125,14 @@ class RideRecorder:
     def markers(self, robot: str, seen: Iterable[MarkerObservation]) -> None:
         """Markers that the robot's camera saw, in base_footprint."""
         self.record.robots[robot].sightings += [
-            Sighting(s.stamp, s.pose.x, s.pose.y, s.pose.theta, s.marker_id) for s in seen
+            TimedSighting(s.stamp, s.pose.x, s.pose.y, s.pose.theta, s.marker_id) for s in seen
         ]
 
     def message(self, stamp: float, text: str) -> None:
         """A message that a robot sent to the others."""
         self.record.messages.append(TimedText(stamp, text))
 
-    def contact(self, contact: Contact) -> None:
+    def contact(self, contact: RecordedContact) -> None:
         """A robot touched something."""
         self.record.contacts.append(contact)
 

@@ -25,7 +25,7 @@ from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.experiments.scenarios.ride_record import CpuSample, RideRecord, RobotRecord, TrafficSample
 from hitchhike_ros.experiments.scoring.figures import Figure
-from hitchhike_ros.experiments.scoring.rides import Ride, find_ride
+from hitchhike_ros.experiments.scoring.rides import Ride, Window, find_ride
 from hitchhike_ros.experiments.scoring.tracks import metres_driven, poses_at
 from hitchhike_ros.protocol.status import ModuleSwitches
 
@@ -46,8 +46,6 @@ _SWITCHES = {
     "slam": ("LZN", "MAP"),
     "visual_servoing": ("VS",),
 }
-
-Window = tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,6 @@ from hitchhike_ros.simulation.world_file import WorldFile
 # Less than a second after it pulls away a driver is not yet followed at the ordered distance (chosen).
 _PULL_AWAY_S = 1.0
 
-Interval = tuple[float, float]
-
 
 @dataclass(frozen=True)
 class NetworkRide:

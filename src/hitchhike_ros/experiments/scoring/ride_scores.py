@@ -45,7 +45,7 @@ _AT_GOAL_M = 0.2
 
 
 @dataclass(frozen=True)
-class Steps:
+class StepTimes:
     """Times of one ride in s, as P17 Table 2 and P18 Table 2 have them; None where a step was not reached."""
 
     couple_s: float | None
@@ -110,18 +110,18 @@ def score(
     return Score(_trouble(scenario, record, rides), tuple(figures), tuple(rides))
 
 
-def steps(record: RideRecord, ride: Ride, local: bool) -> Steps:
+def steps(record: RideRecord, ride: Ride, local: bool) -> StepTimes:
     """Times of a ride. ``local``: that was arranged at a hitchhiking point (P17)."""
     if local:
-        return Steps(ride.couple_s, ride.decouple_s, ride.wait_s, 0.0)
+        return StepTimes(ride.couple_s, ride.decouple_s, ride.wait_s, 0.0)
     if ride.riding_at is None or ride.driver is None or ride.requested_at is None:
-        return Steps(None, ride.decouple_s, None, 0.0)
+        return StepTimes(None, ride.decouple_s, None, 0.0)
     ready_at = _there_since(record.robots[ride.hitchhiker], ride.requested_at, ride.riding_at)
     arrived_at = _there_since(record.robots[ride.driver], ride.requested_at, ride.riding_at)
     if ready_at is None or arrived_at is None:
-        return Steps(None, ride.decouple_s, None, 0.0)
+        return StepTimes(None, ride.decouple_s, None, 0.0)
     both = max(ready_at, arrived_at)
-    return Steps(ride.riding_at - both, ride.decouple_s, both - ready_at, both - arrived_at)
+    return StepTimes(ride.riding_at - both, ride.decouple_s, both - ready_at, both - arrived_at)
 
 
 def _there_since(robot: RobotRecord, since: float, riding_at: float) -> float | None:
@@ -142,7 +142,7 @@ def _ride_figures(
         ride = _found(rides, expected)
         prefix = f"{_label(scenario, expected, i)}_" if several else ""
         found = None if ride is None else timed.get((ride.hitchhiker, ride.riding_at))
-        taken = Steps(None, None, None, 0.0) if found is None else steps(record, found, local)
+        taken = StepTimes(None, None, None, 0.0) if found is None else steps(record, found, local)
         for figure in _of_ride(expected, ride, taken):
             yield replace(figure, name=prefix + figure.name) if prefix else figure
     if scenario.end == "rides":
@@ -159,7 +159,7 @@ def _label(scenario: RideScenario, expected: ExpectedRide, i: int) -> str:
     return f"ride_{i + 1}"
 
 
-def _of_ride(expected: ExpectedRide, ride: NetworkRide | None, taken: Steps) -> Iterator[Figure]:
+def _of_ride(expected: ExpectedRide, ride: NetworkRide | None, taken: StepTimes) -> Iterator[Figure]:
     paper = expected.paper
     for f in fields(PaperTimes):
         peer = None if paper is None else getattr(paper, f.name)

@@ -14,8 +14,8 @@ import pytest
 from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.experiments.bench import following as bench_following
 from hitchhike_ros.experiments.bench.coupling_scores import CouplingResult
-from hitchhike_ros.experiments.bench.following import coupling_figures, lost_figures, ride_figures
-from hitchhike_ros.experiments.bench.following_scores import RideResult, score
+from hitchhike_ros.experiments.bench.following import coupling_figures, course_figures, lost_figures
+from hitchhike_ros.experiments.bench.following_scores import RideResult, score_ride
 from hitchhike_ros.experiments.bench.registry import Options
 from hitchhike_ros.experiments.scenarios.couplings import WALL
 from hitchhike_ros.experiments.scenarios.following_rides import DRIVER, RIDER, STRAIGHT
@@ -49,7 +49,7 @@ def record_of(offset: float) -> RideRecord:
 
 
 def test_errors_are_those_of_the_truth() -> None:
-    result = score(record_of(0.05), 0, "")
+    result = score_ride(record_of(0.05), 0, "")
     assert result.completed
     assert result.ridden_m == pytest.approx(5.0, abs=0.1)
     assert result.gap_rms_m == pytest.approx(0.05, abs=1e-3)
@@ -59,19 +59,19 @@ def test_errors_are_those_of_the_truth() -> None:
 def test_a_ride_that_does_not_come_about_has_no_errors_and_is_not_forgiven() -> None:
     record = record_of(0.0)
     record.robots[DRIVER].statuses.pop()
-    result = score(record, 0, "")
+    result = score_ride(record, 0, "")
     assert not result.completed
-    assert [f.ok for f in ride_figures(STRAIGHT, (RESULT, result)) if f.bound is not None] == [False, True, True]
+    assert [f.ok for f in course_figures(STRAIGHT, (RESULT, result)) if f.bound is not None] == [False, True, True]
 
 
 def test_each_bound_of_the_courses_breaks_for_its_own_reason() -> None:
-    assert [f.ok for f in ride_figures(STRAIGHT, (RESULT, RESULT)) if f.bound is not None] == [True, True, True]
-    assert [f.ok for f in ride_figures(STRAIGHT, (replace(RESULT, contacts=("wall",)),)) if f.bound is not None] == [
+    assert [f.ok for f in course_figures(STRAIGHT, (RESULT, RESULT)) if f.bound is not None] == [True, True, True]
+    assert [f.ok for f in course_figures(STRAIGHT, (replace(RESULT, contacts=("wall",)),)) if f.bound is not None] == [
         True,
         False,
         True,
     ]
-    assert [f.ok for f in ride_figures(STRAIGHT, (replace(RESULT, lost=1),)) if f.bound is not None] == [
+    assert [f.ok for f in course_figures(STRAIGHT, (replace(RESULT, lost=1),)) if f.bound is not None] == [
         True,
         True,
         False,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hitchhike_ros.core.errors import MapFileError
-from hitchhike_ros.experiments.bench.moving_ai import Scenario, load_moving_ai_map, load_scenarios
+from hitchhike_ros.experiments.bench.moving_ai import SearchProblem, load_moving_ai_map, load_problems
 from hitchhike_ros.mapping.grid import FREE, OCCUPIED
 
 MAP = "type octile\nheight 2\nwidth 3\nmap\n.G@\nOT.\n"
@@ -27,8 +27,8 @@ def test_the_last_line_is_the_first_row(tmp_path):
 
 
 def test_scenarios_are_cells_of_that_grid(tmp_path):
-    assert load_scenarios(write(tmp_path, SCENARIOS)) == [Scenario("maps/a.map", (1, 0), (0, 2), 2.41421356)]
-    assert load_scenarios(write(tmp_path, SCENARIOS.replace("version 1", "version 1.0") + "\n\n"))
+    assert load_problems(write(tmp_path, SCENARIOS)) == [SearchProblem("maps/a.map", (1, 0), (0, 2), 2.41421356)]
+    assert load_problems(write(tmp_path, SCENARIOS.replace("version 1", "version 1.0") + "\n\n"))
 
 
 @pytest.mark.parametrize(
@@ -70,13 +70,13 @@ def test_a_map_that_is_wrong(tmp_path, old, new, field, value):
 def test_a_scenario_that_is_wrong(tmp_path, old, new, field):
     path = write(tmp_path, SCENARIOS.replace(old, new, 1))
     with pytest.raises(MapFileError) as error:
-        load_scenarios(path)
+        load_problems(path)
     assert error.value.field == field
     assert error.value.expected
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    for load in (load_moving_ai_map, load_scenarios):
+    for load in (load_moving_ai_map, load_problems):
         with pytest.raises(MapFileError, match="No such file"):
             load(tmp_path / "none")
         (tmp_path / "picture").write_bytes(b"\x89PNG\xff")
@@ -89,7 +89,7 @@ def test_the_real_files(shared_data, name, free, count):
     file = shared_data / "movingai" / f"{name}.map"
     if not file.exists():
         pytest.skip(f"{file} is not there")
-    grid, scenarios = load_moving_ai_map(file), load_scenarios(file.with_suffix(".map.scen"))
+    grid, scenarios = load_moving_ai_map(file), load_problems(file.with_suffix(".map.scen"))
     assert (grid.data == FREE).sum() == free
     assert len(scenarios) == count
     assert all(grid.data[s.start] == grid.data[s.goal] == FREE for s in scenarios)

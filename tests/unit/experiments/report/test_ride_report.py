@@ -14,7 +14,7 @@ from rich.console import Console
 from hitchhike_ros.core.datatypes import Obstacle, Pose2D
 from hitchhike_ros.experiments.report.ride_picture import draw_ride
 from hitchhike_ros.experiments.report.ride_report import (
-    Progress,
+    RideProgress,
     box_table,
     change,
     cpu_table,
@@ -36,7 +36,7 @@ from hitchhike_ros.protocol.status import ModuleSwitches
 from synthetic_ride import RIDING, synthetic_ride
 
 RIDER = ModuleSwitches(PP=False, OBS=False, LZN=False, MAP=False, COM=True, VS=True)
-NOW = Progress("Riding", 12.4, 20.4, 0.81, "turtlebot", RIDER, 54.2, 0.83)
+NOW = RideProgress("Riding", 12.4, 20.4, 0.81, "turtlebot", RIDER, 54.2, 0.83)
 
 
 def at(stamp: float) -> RideRecord:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hitchhike_ros.core.datatypes import Obstacle
-from hitchhike_ros.experiments.scenarios.corridor_drives import MODELS, compare, draw_world
+from hitchhike_ros.experiments.scenarios.corridor_drives import MODELS, compare_boxes, draw_world
 from hitchhike_ros.simulation.people import RADIUS_M
 from hitchhike_ros.simulation.world_file import distance_to_box, load_world
 from simulated_room import PACKAGE
@@ -35,11 +35,11 @@ def test_every_seed_leaves_a_lane_and_nobody_walks_through_a_box() -> None:
 def test_found_boxes_are_compared_with_the_nearest_and_others_are_phantoms() -> None:
     true = [Obstacle("a", 1.0, 1.0, 0.4, 0.2), Obstacle("b", 5.0, 1.0, 0.2, 0.2)]
     near, person = Obstacle("obs1", 1.03, 1.0, 0.4, 0.15), Obstacle("obs2", 3.0, 1.0, 0.3, 0.3)
-    found, phantoms, place, size = compare([near, person], true)
+    found, phantoms, place, size = compare_boxes([near, person], true)
     assert (found, phantoms) == (1, (person,))
     assert (place, size) == pytest.approx((0.03, 0.05))
     again = Obstacle("obs3", 1.1, 1.05, 0.2, 0.1)
-    assert compare([near, again], true)[1] == (again,)
+    assert compare_boxes([near, again], true)[1] == (again,)
 
 
 def test_a_process_of_its_own_can_load_what_a_drive_needs() -> None:

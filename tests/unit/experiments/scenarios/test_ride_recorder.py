@@ -10,9 +10,9 @@ import pytest
 
 from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.experiments.scenarios.ride_record import (
-    Contact,
     CpuSample,
     MemorySample,
+    RecordedContact,
     StepSample,
     TimedPose,
     TrafficSample,
@@ -62,7 +62,7 @@ def test_each_robot_keeps_what_it_did_and_believed(recorder: RideRecorder) -> No
 
 
 def test_the_run_keeps_messages_contacts_and_samples(recorder: RideRecorder) -> None:
-    contact, cpu = Contact(2.0, "p3dx", "walls", 1.0, 1.0), CpuSample(1.0, 100.0, "/p3dx/slam", 0.5, 40.0)
+    contact, cpu = RecordedContact(2.0, "p3dx", "walls", 1.0, 1.0), CpuSample(1.0, 100.0, "/p3dx/slam", 0.5, 40.0)
     recorder.message(1.0, "{}")
     recorder.contact(contact)
     recorder.cpu(cpu)
