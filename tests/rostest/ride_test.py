@@ -146,7 +146,7 @@ class RideTest(unittest.TestCase):
         self.assertAlmostEqual(self.figure("award"), award.points, delta=0.1)
         for name, pose in there.items():
             self.assertLessEqual(distance(pose, self.watch.truth(name)), 0.2, name)
-        ours = composed.robots[rider].obstacles
+        ours = composed.robots[rider].boxes
         theirs = [box["found"] for box in self.ride["boxes"]]
         self.assertEqual(len(theirs), len(ours))
         for one in theirs:

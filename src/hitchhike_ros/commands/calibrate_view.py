@@ -22,8 +22,8 @@ from hitchhike_ros.modules.visual_servoing import View, VisualServoing, VisualSe
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.parameters import frame, private_parameters
-from hitchhike_ros.ros_io.topics import visual_servoing_outlets
+from hitchhike_ros.ros_io.parameters import private_parameters
+from hitchhike_ros.ros_io.topics import outlets
 from hitchhike_ros.servoing.view_statistics import ViewStatistics, sighting
 
 
@@ -62,7 +62,7 @@ def build() -> ModuleHost:
         where=rospy.get_name(),
     )
     print(f"waiting for images on {rospy.resolve_name('camera/image_raw')}", flush=True)
-    return ModuleHost(Single(module), {module.name: visual_servoing_outlets(frame("camera_optical"))}, also=line.show)
+    return ModuleHost(Single(module), {module.name: outlets(module.name)}, also=line.show)
 
 
 def main() -> None:

@@ -6,8 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args, get_type_hints
 
+from hitchhike_ros.localization.methods import Method
+from hitchhike_ros.modules.hitchhike_comm import HitchhikeComm
 from hitchhike_ros.modules.inputs import InitialPose
+from hitchhike_ros.modules.mapping_3d import Mapping3D
 from hitchhike_ros.modules.module import Module, Order, Outputs, Refused
+from hitchhike_ros.modules.obstacle_avoidance import ObstacleAvoidance
+from hitchhike_ros.modules.path_planning import PathPlanning
+from hitchhike_ros.modules.robot_files import RobotFiles
+from hitchhike_ros.modules.slam import Slam
+from hitchhike_ros.modules.velocity_mux import VelocityMux
+from hitchhike_ros.modules.visual_servoing import VisualServoing
 from hitchhike_ros.protocol.status import Status
 
 ORDER_OF_STEPS = (
@@ -135,3 +144,24 @@ def kinds(module: Module[Any], wire: Wire) -> tuple[type, ...]:
     outputs = get_type_hints(type(module).step)["return"]
     hint = get_type_hints(outputs)[wire.field]
     return tuple(kind for kind in (get_args(hint) or (hint,)) if kind is not type(None))
+
+
+def build(files: RobotFiles, localization_method: Method = "ekf", *, map_3d: bool = False) -> Robot:
+    """The robot that ``files`` describe.
+
+    Args:
+        files: what each module is built from.
+        localization_method: of slam.
+        map_3d: whether it maps its surroundings in 3D during rides that it gives, and takes such maps over.
+    """
+    modules: list[Module[Any]] = [
+        Slam.build(files, method=localization_method),
+        PathPlanning.build(files),
+        ObstacleAvoidance.build(files),
+        VisualServoing.build(files),
+        HitchhikeComm.build(files),
+        VelocityMux.build(files),
+    ]
+    if map_3d:
+        modules.append(Mapping3D.build(files))
+    return Robot({module.name: module for module in modules})

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, get_args
+from typing import Any, ClassVar
 
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Obstacle, Odometry, Pose2D, PoseEstimate, Positive
-from hitchhike_ros.core.errors import HitchhikeError, ParameterError, SensorDataError, StaleInputError
+from hitchhike_ros.core.errors import HitchhikeError, SensorDataError, StaleInputError
 from hitchhike_ros.core.geometry import compose, inverse, pose_from_matrix
 from hitchhike_ros.localization.ekf import check_gaussian
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
@@ -118,29 +118,24 @@ class Slam:
         self._health = Health(Level.OK, "off")
 
     @classmethod
-    def build(cls, files: RobotFiles, *, method: str = "ekf", alone: bool = False, where: str = "") -> Slam:
+    def build(cls, files: RobotFiles, *, method: Method = "ekf", alone: bool = False) -> Slam:
         """The module of the robot that ``files`` describe.
 
         Args:
             files: the sections ``slam``, ``localization`` and ``mapping``, the laser's mount, the markers and the map.
             method: how to localize, :data:`.localization.methods.Method`.
             alone: whether it works without a status.
-            where: ``method`` comes from, for errors.
 
         Raises:
-            ParameterError: ``method`` is none, or a parameter is of no use.
+            ParameterError: a parameter is of no use.
             HitchhikeError: a file cannot be used, or there is no map.
         """
-        if method not in get_args(Method):
-            raise ParameterError(where, "~method", method, f"one of {', '.join(get_args(Method))}")
         params = files.load(SlamParameters, "slam")
         localization = files.load(LocalizerParameters, "localization")
         mapping = files.load(MappingParameters, "mapping")
         markers, T_base_laser = files.sites.markers, pose_from_matrix(files.mount("laser"))
         grid = files.grid  # last, as it may have to be awaited
-        localizer = make_localizer(
-            "particle" if method == "particle" else "ekf", grid, markers, localization, T_base_laser
-        )
+        localizer = make_localizer(method, grid, markers, localization, T_base_laser)
         return cls(params, localizer, NewObstacleMapper(grid, mapping), grid, T_base_laser, alone=alone)
 
     # What arrives.

@@ -82,7 +82,7 @@ from hitchhike_ros.ros_io.conversions import (
     twist_to_msg,
 )
 from hitchhike_ros.ros_io.markers import voxel_markers
-from hitchhike_ros.ros_io.parameters import network_topic
+from hitchhike_ros.ros_io.parameters import frame, network_topic
 
 if TYPE_CHECKING:  # a node imports its own module and no other
     from hitchhike_ros.modules.slam import SlamOutputs
@@ -374,3 +374,22 @@ MAPPING_3D = (
     Outlet("view", "occupied_cells_vis_array", MarkerArray, _voxels, on_demand=True),
     Outlet("transfers", "map_3d/transfer", String, _transfers, latch=True, queue_size=10),
 )
+
+
+def outlets(name: str) -> tuple[Outlet, ...]:
+    """What module ``name`` says; frames are those of the node's parameters."""
+    match name:
+        case "slam":
+            return slam_outlets(frame("odom"))
+        case "visual_servoing":
+            return visual_servoing_outlets(frame("camera_optical"))
+    return _OF_MODULE[name]
+
+
+_OF_MODULE = {
+    "path_planning": PATH_PLANNING,
+    "obstacle_avoidance": OBSTACLE_AVOIDANCE,
+    "hitchhike_comm": HITCHHIKE_COMM,
+    "velocity_mux": VELOCITY_MUX,
+    "mapping_3d": MAPPING_3D,
+}

@@ -9,12 +9,20 @@ from typing import ClassVar
 import pytest
 
 from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, Twist2D
+from hitchhike_ros.modules.hitchhike_comm import HitchhikeComm
 from hitchhike_ros.modules.inputs import InitialPose, NavigationCommand, PlannedPath, PlanReport
+from hitchhike_ros.modules.mapping_3d import Mapping3D
 from hitchhike_ros.modules.module import Health, Order, Outputs, Refused
-from hitchhike_ros.modules.robot import ORDER_OF_STEPS, WIRES, Robot
+from hitchhike_ros.modules.obstacle_avoidance import ObstacleAvoidance
+from hitchhike_ros.modules.path_planning import PathPlanning
+from hitchhike_ros.modules.robot import ORDER_OF_STEPS, WIRES, Robot, kinds
+from hitchhike_ros.modules.slam import Slam
+from hitchhike_ros.modules.velocity_mux import VelocityMux
+from hitchhike_ros.modules.visual_servoing import VisualServoing
 from hitchhike_ros.protocol.events import GoalCancelled, NavigationReport
 from hitchhike_ros.protocol.status import Status
 
+ALL = (Slam, Mapping3D, PathPlanning, ObstacleAvoidance, VisualServoing, HitchhikeComm, VelocityMux)
 ODOMETRY = Odometry(1.0, Pose2D(), Twist2D())
 
 
@@ -182,3 +190,14 @@ def test_every_wire_joins_modules() -> None:
     for wire in WIRES:
         assert {wire.source, *wire.sinks} <= set(ORDER_OF_STEPS), wire
     assert len({(wire.source, wire.field) for wire in WIRES}) == len(WIRES)
+
+
+def test_every_wire_carries_what_its_ends_say_and_take() -> None:
+    modules = {cls.name: cls.__new__(cls) for cls in ALL}
+    assert modules.keys() == set(ORDER_OF_STEPS)
+    for wire in WIRES:
+        for kind in kinds(modules[wire.source], wire):
+            if kind is Status:
+                continue  # an order, which every module takes
+            takers = {name for name, module in modules.items() if kind in module.inputs}
+            assert takers == set(wire.sinks), (wire, kind)

@@ -20,7 +20,7 @@ from hitchhike_ros.core.datatypes import (
     PoseEstimate,
     Twist2D,
 )
-from hitchhike_ros.core.errors import HitchhikeError, ParameterError, SensorDataError
+from hitchhike_ros.core.errors import HitchhikeError, SensorDataError
 from hitchhike_ros.core.geometry import between, compose
 from hitchhike_ros.core.parameters import load_parameters
 from hitchhike_ros.localization.localizer import LocalizerParameters
@@ -667,11 +667,6 @@ def test_it_localizes_in_its_map() -> None:
         assert (outputs.particles is not None) == slam.can_globalize
         if outputs.particles is not None:
             assert outputs.particles.shape[1] == 3
-
-
-def test_a_method_that_there_is_not_is_refused() -> None:
-    with pytest.raises(ParameterError, match="~method is 'amcl', expected one of ekf, particle"):
-        Slam.build(Files(), method="amcl", where="/slam")
 
 
 def test_particles_can_be_spread_over_the_map_while_localization_is_on() -> None:

@@ -1,8 +1,9 @@
-"""What goes wrong on a composed ride: the cores see what they would see, and nothing else changes."""
+"""What goes wrong on a composed ride: the modules see what they would see, and nothing else changes."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import pytest
 
 from hitchhike_ros.core.datatypes import PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import ParameterError
-from hitchhike_ros.protocol.status import ServoCommand
-from hitchhike_ros.simulation.composed import ComposedRide
+from hitchhike_ros.modules.inputs import CameraImage, ServoingCommand
+from hitchhike_ros.modules.visual_servoing import VisualServoingOutputs
+from hitchhike_ros.protocol.status import ModuleSwitches, ServoCommand
+from hitchhike_ros.simulation.composed import ComposedRide, ComposedRobot
 from hitchhike_ros.simulation.faults import Fault
 from simulated_room import PACKAGE, make_world, robot
 
@@ -20,7 +23,7 @@ LEADER, FOLLOWER = "leader", "follower"
 
 
 @pytest.fixture
-def ride(tmp_path: Path):
+def ride(tmp_path: Path) -> Iterator[ComposedRide]:
     robots = {LEADER: robot("p3dx", 3.5, 2.0, marker=0), FOLLOWER: robot("turtlebot", 2.0, 2.0, marker=1)}
     with make_world(tmp_path, robots) as world:
         ride = ComposedRide(world, PACKAGE)
@@ -28,18 +31,20 @@ def ride(tmp_path: Path):
         yield ride
 
 
-def order_to_follow(ride: ComposedRide):
-    follower = ride.robots[FOLLOWER]
-    modules = replace(follower.status.modules, VS=True)
-    follower.status = replace(follower.status, modules=modules, servo=ServoCommand("follow", 0))
-    follower._servoing.order(follower.status, 0.0)
-    follower.sense_odometry(follower.body.odometry())
-    return follower
-
-
-def speed_wanted(robot) -> float:
-    """What servoing wanted last of the base, in m/s."""
-    return robot._mux._commands["servoing"][1].v
+def followed(ride: ComposedRide, now: float, sees: bool = True, covered: bool = False) -> VisualServoingOutputs:
+    """What servoing of the follower says when it is told to follow, and gets an image or none."""
+    follower: ComposedRobot = ride.robots[FOLLOWER]
+    servoing = follower.robot.modules["visual_servoing"]
+    order = replace(follower.status, servo=ServoCommand("follow", 0), modules=ModuleSwitches(VS=True))
+    servoing.order(order, now)
+    servoing.sense(follower.body.odometry(), now)
+    assert CameraImage in servoing.listens()
+    if sees:
+        follower.see(now, covered)
+    assert servoing.next_due(now) <= now
+    outputs = servoing.step(now)
+    assert isinstance(outputs, VisualServoingOutputs)
+    return outputs
 
 
 def test_a_fault_acts_from_its_start_until_its_end() -> None:
@@ -50,20 +55,17 @@ def test_a_fault_acts_from_its_start_until_its_end() -> None:
 
 
 def test_a_covered_lens_sees_no_marker(ride: ComposedRide) -> None:
-    follower = order_to_follow(ride)
-    follower.sense_image(0.0)
-    assert (len(follower._observations), follower.following) == (1, "following")
-    follower.sense_image(0.1, covered=True)
-    assert follower._observations == ()
+    open_, covered = followed(ride, 0.0).observations, followed(ride, 0.3, covered=True).observations
+    assert open_ is not None
+    assert covered is not None
+    assert [len(open_.markers), len(covered.markers)] == [1, 0]
 
 
-def test_a_camera_that_stays_silent_lets_the_robot_stand(ride: ComposedRide) -> None:
-    follower = order_to_follow(ride)
-    follower.sense_image(0.0)
-    follower.servo(0.2)
-    assert speed_wanted(follower) > 0.0
-    follower.servo(0.4)
-    assert speed_wanted(follower) == 0.0
+def test_with_a_camera_that_stays_silent_servoing_stands(ride: ComposedRide) -> None:
+    assert followed(ride, 0.0).health.reason.startswith("following")
+    outputs = followed(ride, 0.5, sees=False)
+    assert outputs.command == ServoingCommand(Twist2D())
+    assert outputs.health.reason == "stopped: no image for 0.5 s"
 
 
 def test_one_that_is_cut_off_hears_nobody_and_is_not_heard(ride: ComposedRide) -> None:
@@ -89,7 +91,7 @@ def test_who_is_steered_drives_so(ride: ComposedRide) -> None:
 
 def test_changed_parameters_are_checked(ride: ComposedRide) -> None:
     changed = ComposedRide(ride.world, PACKAGE, changes={LEADER: {"hitchhiking": {"marker_id": 7}}})
-    assert changed.robots[LEADER].traveller.params.marker_id == 7
-    assert changed.robots[FOLLOWER].traveller.params.marker_id == 1
+    assert changed.robots[LEADER].params.marker_id == 7
+    assert changed.robots[FOLLOWER].params.marker_id == 1
     with pytest.raises(ParameterError, match="gap_m"):
         ComposedRide(ride.world, PACKAGE, changes={LEADER: {"hitchhiking": {"gap_m": -1.0}}})

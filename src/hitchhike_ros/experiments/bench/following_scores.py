@@ -42,9 +42,8 @@ def ride(package: Path, course: Course, seed: int) -> RideResult:
     with World(build(course, package, seed), seed, package=package) as world:
         composed = ComposedRide(world, package, changes=changes_of(course))
         recorder = ComposedRecorder(composed, seed)
-        for robot in composed.robots.values():
-            robot.learn(course.doors, world.now)
-        composed.start({name: PoseEstimate(0.0, entry.start, SIGMA) for name, entry in world.file.robots.items()})
+        starts = {name: PoseEstimate(0.0, entry.start, SIGMA) for name, entry in world.file.robots.items()}
+        composed.start(starts, course.doors)
         rode = False
         for _ in recorder.run(course.limit_s):
             rider = composed.robots[RIDER].status

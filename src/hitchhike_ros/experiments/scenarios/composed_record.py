@@ -27,7 +27,7 @@ class ComposedRecorder:
                 known = self.record.robots[name]
                 recorder.truth(name, world.now, pose)
                 recorder.status(name, robot.status)
-                recorder.obstacles(name, robot.obstacles)
+                recorder.obstacles(name, robot.boxes)
                 for award in robot.awards[len(known.awards) :]:
                     recorder.award(name, award)
                 for estimate in robot.taken[len(known.initial_poses) :]:

@@ -122,7 +122,7 @@ def drive(package: Path, seed: int) -> DriveResult:
             if robot.status.state == "idle" and world.now > 2.0:
                 break
         truth, _ = body.ground_truth()
-        found, phantoms, place, size = compare_boxes(robot.obstacles, file.boxes)
+        found, phantoms, place, size = compare_boxes(robot.boxes, file.boxes)
         return DriveResult(
             seed,
             name,
@@ -137,7 +137,7 @@ def drive(package: Path, seed: int) -> DriveResult:
             place,
             size,
             stood / FRAME_RATE_HZ,
-            distance(_START, _GOAL) / robot.traveller.params.cruise_speed_mps,
+            distance(_START, _GOAL) / robot.params.cruise_speed_mps,
         )
 
 

@@ -41,7 +41,7 @@ from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import HITCHHIKE_COMM
+from hitchhike_ros.ros_io.topics import outlets
 
 
 class Surroundings:
@@ -83,7 +83,7 @@ def build() -> ModuleHost:
     """The node's host."""
     module = HitchhikeComm.build(NodeFiles())
     surroundings = Surroundings(module.robot_id)
-    host = ModuleHost(Single(module), {module.name: HITCHHIKE_COMM}, orders=False, also=surroundings.take)
+    host = ModuleHost(Single(module), {module.name: outlets(module.name)}, orders=False, also=surroundings.take)
     surroundings.serve(host)
     return host
 

@@ -36,12 +36,13 @@ from hitchhike_ros.modules.mapping_3d import Mapping3D
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import MAPPING_3D
+from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:
     """The node's host."""
-    return ModuleHost(Single(Mapping3D.build(NodeFiles())), {Mapping3D.name: MAPPING_3D})
+    module = Mapping3D.build(NodeFiles())
+    return ModuleHost(Single(module), {module.name: outlets(module.name)})
 
 
 def main() -> None:

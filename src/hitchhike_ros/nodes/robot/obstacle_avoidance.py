@@ -37,12 +37,13 @@ from hitchhike_ros.modules.obstacle_avoidance import ObstacleAvoidance
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import OBSTACLE_AVOIDANCE
+from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:
     """The node's host."""
-    return ModuleHost(Single(ObstacleAvoidance.build(NodeFiles())), {ObstacleAvoidance.name: OBSTACLE_AVOIDANCE})
+    module = ObstacleAvoidance.build(NodeFiles())
+    return ModuleHost(Single(module), {module.name: outlets(module.name)})
 
 
 def main() -> None:

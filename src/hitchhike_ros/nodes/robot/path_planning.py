@@ -35,14 +35,14 @@ from hitchhike_ros.ros_io.conversions import pose_from_msg
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import PATH_PLANNING, path_of
+from hitchhike_ros.ros_io.topics import outlets, path_of
 
 
 def build() -> ModuleHost:
     """The node's host."""
     always_on = bool(rospy.get_param("~always_on", False))
     module = PathPlanning.build(NodeFiles(), always_on=always_on)
-    host = ModuleHost(Single(module), {module.name: PATH_PLANNING}, orders=not always_on)
+    host = ModuleHost(Single(module), {module.name: outlets(module.name)}, orders=not always_on)
     serve_make_plan(host, module)
     return host
 

@@ -37,6 +37,7 @@ TF: map -> odom, for each pose. While localization is off the last one is repeat
 from __future__ import annotations
 
 import math
+from typing import cast, get_args
 
 import numpy as np
 import rospy
@@ -45,38 +46,60 @@ from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import HitchhikeError, ParameterError
 from hitchhike_ros.core.parameters import convert
+from hitchhike_ros.localization.methods import Method
 from hitchhike_ros.modules.inputs import InitialPose
 from hitchhike_ros.modules.slam import Slam
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.parameters import frame, given, is_given
-from hitchhike_ros.ros_io.topics import slam_outlets
+from hitchhike_ros.ros_io.parameters import given, is_given
+from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:
-    """The node's host; its parameters are those of the parameter server."""
+    """The node's host."""
+    slam = Slam.build(NodeFiles(), method=localization_method(), alone=bool(rospy.get_param("~always_on", False)))
+    start_from_parameters(slam)
+    host = ModuleHost(Single(slam), {slam.name: outlets(slam.name)})
+    serve_global_localization(host, slam)
+    return host
+
+
+def localization_method() -> Method:
+    """Of parameter ``method``.
+
+    Raises:
+        ParameterError: it is none.
+    """
+    method = given("method", "ekf")
+    if method not in get_args(Method):
+        raise ParameterError(rospy.get_name(), "~method", method, f"one of {', '.join(get_args(Method))}")
+    return cast(Method, method)
+
+
+def start_from_parameters(slam: Slam) -> None:
+    """Tell the module where the robot is, if the parameters do.
+
+    Raises:
+        ParameterError: they are of no use.
+    """
     start = _initial_pose()
-    slam = Slam.build(
-        NodeFiles(),
-        method=str(rospy.get_param("~method", "ekf")),
-        alone=bool(rospy.get_param("~always_on", False)),
-        where=rospy.get_name(),
-    )
     if start is not None:
         slam.sense(InitialPose(start), rospy.get_time())
-    host = ModuleHost(Single(slam), {slam.name: slam_outlets(frame("odom"))})
+
+
+def serve_global_localization(host: ModuleHost, slam: Slam) -> None:
+    """Offer the service of amcl, if the module can look for the robot anywhere."""
+
+    def globalize(_request: EmptyRequest) -> EmptyResponse:
+        try:
+            host.call(slam.globalize)
+        except HitchhikeError as exc:
+            raise rospy.ServiceException(str(exc)) from exc
+        return EmptyResponse()
+
     if slam.can_globalize:
-
-        def globalize(_request: EmptyRequest) -> EmptyResponse:
-            try:
-                host.call(slam.globalize)
-            except HitchhikeError as exc:
-                raise rospy.ServiceException(str(exc)) from exc
-            return EmptyResponse()
-
         rospy.Service("global_localization", Empty, globalize)
-    return host
 
 
 def _initial_pose() -> PoseEstimate | None:

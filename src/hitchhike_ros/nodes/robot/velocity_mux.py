@@ -22,12 +22,13 @@ from hitchhike_ros.modules.velocity_mux import VelocityMux
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import VELOCITY_MUX
+from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:
     """The node's host."""
-    return ModuleHost(Single(VelocityMux.build(NodeFiles())), {VelocityMux.name: VELOCITY_MUX})
+    module = VelocityMux.build(NodeFiles())
+    return ModuleHost(Single(module), {module.name: outlets(module.name)})
 
 
 def main() -> None:

@@ -51,8 +51,8 @@ from hitchhike_ros.modules.visual_servoing import VisualServoing
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.parameters import frame, is_given, private_parameters
-from hitchhike_ros.ros_io.topics import visual_servoing_outlets
+from hitchhike_ros.ros_io.parameters import is_given, private_parameters
+from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:
@@ -64,7 +64,7 @@ def build() -> ModuleHost:
         alone=own if rospy.get_param("~always_on", False) else None,
         where=rospy.get_name(),
     )
-    return ModuleHost(Single(module), {module.name: visual_servoing_outlets(frame("camera_optical"))})
+    return ModuleHost(Single(module), {module.name: outlets(module.name)})
 
 
 def main() -> None:
