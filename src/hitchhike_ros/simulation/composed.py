@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hitchhike_ros.core.datatypes import LaserScan, Obstacle, PoseEstimate, Twist2D
 from hitchhike_ros.localization.methods import Method
-from hitchhike_ros.modules.hitchhike_comm import HitchhikeCommOutputs
+from hitchhike_ros.modules.hitchhike_comm import HitchhikeCommOutputs, Outcome
 from hitchhike_ros.modules.inputs import CameraImage, HandedOverObstacles, InitialPose, NetworkText, TeleopCommand
 from hitchhike_ros.modules.robot import build
 from hitchhike_ros.modules.robot_files import PlainFiles
@@ -47,6 +47,8 @@ class ComposedRobot:
         self.params = files.load(HitchhikingParameters, "hitchhiking")
         self.robot = build(files, localization_method)
         self.status = Status(0.0, body.name)
+        self.outcome: Outcome | None = None
+        """How its goal ended, None while it is on its way to one."""
         self.boxes: tuple[Obstacle, ...] = ()
         self.awards: list[Award] = []
         self.taken: list[PoseEstimate] = []
@@ -74,7 +76,7 @@ class ComposedRobot:
             self.robot.sense(CameraImage(now, cache(lambda: self._gray(covered)), self.body.camera), now)
 
     def _note(self, outputs: HitchhikeCommOutputs) -> None:
-        self.status = outputs.status or self.status
+        self.status, self.outcome = outputs.status or self.status, outputs.outcome
         self.awards += outputs.awards
         if outputs.initial_pose is not None:
             self.taken.append(outputs.initial_pose.estimate)
@@ -149,7 +151,7 @@ class ComposedRide:
         """Step until every robot has ended its errand; False when ``limit_s`` of simulated time did not suffice."""
         while self.world.now < limit_s:
             self.step()
-            if not self.goals and all(robot.status.state == "idle" for robot in self.robots.values()):
+            if not self.goals and all(robot.outcome is not None for robot in self.robots.values()):
                 return True
         return False
 
