@@ -139,7 +139,7 @@ class Bench:
 
     def ride(self, metres: float) -> None:
         """A driver has gone on with its rider, whatever it does now."""
-        for rider in self.machine._convoy:
+        for rider in self.machine.rides:
             rider.ridden_m = metres
 
     def lose_driver(self, then: HitchhikerState) -> None:

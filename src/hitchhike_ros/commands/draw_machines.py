@@ -16,15 +16,9 @@ import rospkg
 from hitchhike_ros.commands.command_line import SETTINGS, help_of, run
 from hitchhike_ros.protocol.diagrams import dot
 from hitchhike_ros.protocol.driver.machine import DriverMachine
-from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
-from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
-from hitchhike_ros.protocol.loose_machine import Machine
 
-MACHINES: dict[str, tuple[type[Machine[Any]], Any]] = {
-    "hitchhiker": (HitchhikerMachine, HitchhikerState.IDLE),
-    "driver": (DriverMachine, DriverState.IDLE),
-}
+MACHINES: dict[str, type[Any]] = {"hitchhiker": HitchhikerMachine, "driver": DriverMachine}
 _GRAPHVIZ_S = 60.0
 
 
@@ -40,9 +34,9 @@ def command(output: Path | None) -> None:
     folder = output or Path(rospkg.RosPack().get_path("hitchhike_ros")) / "docs"
     graphviz = shutil.which("dot")
     try:
-        for name, (machine, initial) in MACHINES.items():
+        for name, machine in MACHINES.items():
             file = folder / f"{name}.dot"
-            file.write_text(dot(machine, initial), encoding="utf-8")
+            file.write_text(dot(machine), encoding="utf-8")
             print(file)
             if graphviz is not None:
                 picture = file.with_suffix(".svg")

@@ -53,15 +53,24 @@ def of_phases(*phases: Phase | RoleState) -> Any:
     return field(init=False, repr=False, metadata={"phases": frozenset(phases)})
 
 
+def entered(f: Facts) -> float:
+    """When the machine came to its state."""
+    return f.entered
+
+
 @dataclass(frozen=True)
 class Deadline:
-    """What a row waits for: the time at which the state has lasted too long, on the machine's clock in s."""
+    """What a row waits for: more than ``limit`` s have passed ``since`` then, by default since the state was begun."""
 
-    at: Callable[[Any], float]
+    limit: Callable[[Any], float]
+    since: Callable[[Any], float] = entered
 
     @property
     def name(self) -> str:
-        return self.at.__name__
+        return self.limit.__name__
+
+    def is_over(self, f: Facts) -> bool:
+        return f.now - self.since(f) > self.limit(f)
 
 
 @dataclass(frozen=True)
@@ -199,7 +208,7 @@ class Machine(Generic[S, F]):
     def _expired(self) -> Row | None:
         """What is to be done about the deadline of the state, when it is over."""
         rows = self.TABLE.deadlines.get(self.state)
-        if rows is None or self.facts.now <= deadline(rows).at(self.facts):
+        if rows is None or not deadline(rows).is_over(self.facts):
             return None
         return next(row for row in rows if all(guard(self.facts) for guard in row.when))
 

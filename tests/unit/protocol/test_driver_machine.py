@@ -12,7 +12,8 @@ import pytest
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.core.errors import UnreachableError
 from hitchhike_ros.core.geometry import compose
-from hitchhike_ros.protocol.driver.machine import ENGAGED, WITH_RIDER, DriverMachine
+from hitchhike_ros.protocol.driver.facts import ENGAGED, WITH_RIDER
+from hitchhike_ros.protocol.driver.machine import DriverMachine
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Award, GoalCancelled, GoalGiven, Tick
 from hitchhike_ros.protocol.messages import (

@@ -43,7 +43,7 @@ def bright(f: LampFacts) -> bool:
 
 
 def patience(f: LampFacts) -> float:
-    return f.entered + f.patience_s
+    return f.patience_s
 
 
 S = State

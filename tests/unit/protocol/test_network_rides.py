@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -447,7 +448,8 @@ def test_a_driver_that_says_it_is_late_is_not_waited_for() -> None:
     rider = fleet.add("rider", WEST_POINT, EAST_END, max_wait_s=30.0)
     fleet.run(lambda: rider.status.state == "awaiting_aligned")
     assert rider.status.ride is not None
-    driver.traveller.driver._board_m += 100.0  # as if it had come to a way round
+    facts = driver.traveller.driver.facts
+    facts.boarding = replace(facts.boarding, at_m=facts.boarding.at_m + 100.0)  # as if it had come to a way round
     fleet.run(lambda: rider.status.state != "awaiting_aligned", limit_s=fleet.world.now + 5.0)
     assert (rider.status.state, rider.status.reason) == ("requesting", "Driver is late")
     fleet.run(lambda: driver.status.role == "none")

@@ -121,8 +121,8 @@ class Referee:
             boxes = frozenset(box.id for box in event.new_obstacles.obstacles)
             self._heard[robot.name, event.robot_id, event.seq] = boxes
         elif isinstance(event, Terminate | RequestCancel):
-            rider = robot.traveller.driver._convoy.find(event)
-            if rider is not None:
+            rider = robot.traveller.driver.rider(event.robot_id)
+            if rider is not None and rider.offer.ride_id == event.ride_id:
                 self._fail(f"{robot.name} keeps {rider.offer.hitchhiker}, who has ended {event.ride_id}")
         for effect in effects:
             if isinstance(effect, Send):
@@ -172,7 +172,7 @@ class Referee:
 
     def _check_driver(self, now: float, robot: GridRobot) -> None:
         machine = robot.traveller.driver
-        riders = tuple(machine._convoy)
+        riders = machine.rides
         if not riders:
             return
         names = [rider.offer.hitchhiker for rider in riders]
@@ -185,9 +185,9 @@ class Referee:
                 self._track_metres(rider)
                 lost = machine.state is not DriverState.ALIGNED and not self._rider_knows(rider)
                 self._lasts(now, lost, self._lost_s(robot), "driver", robot.name, rider.offer.ride_id)
-        for rider in machine._convoy.coupled:
+        for rider in (rider for rider in riders if rider.coupled):
             hitchhiker = rider.offer.hitchhiker
-            others = (other.traveller.driver._convoy.of(hitchhiker) for other in self._alive() if other is not robot)
+            others = (other.traveller.driver.rider(hitchhiker) for other in self._alive() if other is not robot)
             twice = any(other is not None and other.coupled for other in others)
             self._lasts(now, twice, self._lost_s(robot), "two drivers", hitchhiker)
 
@@ -199,7 +199,7 @@ class Referee:
             if ride is not None and ride.ridden_from is not None:
                 robot.body.advance(now)
                 ride.ridden_m = robot.body.odometer_m - ride.ridden_from
-            rider = None if driver is None or not driver.alive else driver.traveller.driver._convoy.of(robot.name)
+            rider = None if driver is None or not driver.alive else driver.traveller.driver.rider(robot.name)
             knows = rider is not None and rider.offer.ride_id == machine.ride_id
             self._lasts(now, not knows, self._silent_s(robot), "rider", robot.name, machine.ride_id)
         for other in _hitchhikers(robot):
@@ -264,7 +264,7 @@ class Referee:
         self._owed.pop(name, None)
         self._since = {what: since for what, since in self._since.items() if name not in what}
         for robot in self._world.robots.values():
-            for rider in robot.traveller.driver._convoy:
+            for rider in robot.traveller.driver.rides:
                 if name in (robot.name, rider.offer.hitchhiker) and rider.offer.ride_id in self._rides:
                     self._rides[rider.offer.ride_id].crashed = True
 

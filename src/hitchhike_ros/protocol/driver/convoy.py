@@ -1,4 +1,4 @@
-"""The hitchhikers of one driver: in which order they ride, whom each of them follows, and where it is."""
+"""The hitchhikers of one driver: in which order they ride, whom each of them follows, where it is, and how it fares."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, HitchhikingPoint, MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.core.geometry import compose, inverse
+from hitchhike_ros.core.geometry import compose, distance, inverse
 from hitchhike_ros.localization.handover import handover
 from hitchhike_ros.protocol.messages import Ack, Message, RearMarker
 
 # A rider that has not said how it sees the robot ahead is about so far behind it: m, m, rad (chosen).
 _UNSEEN = Pose2D(1.0)
 _UNSEEN_SIGMA = np.diag(np.square([0.5, 0.3, 0.3]))
+# Riders who leave within this of each other leave together (chosen).
+_LEAVE_TOGETHER_M = 1.0
+# Steps of the driver's own pose that count as metres ridden: noise of a standing robot does not.
+_ODOMETER_STEP_M = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +30,7 @@ class Offer:
     point: HitchhikingPoint
     ride_m: float
     decouple_pose: Pose2D
+    board_m: float = 0.0  # along the driver's path, where it was asked from afar
 
 
 @dataclass(eq=False)
@@ -66,6 +71,7 @@ class Convoy:
         """``rear_marker`` is the driver's."""
         self._rear_marker = rear_marker
         self._riders: list[Rider] = []
+        self.waits_since = 0.0  # for riders that are missing
 
     def __iter__(self) -> Iterator[Rider]:
         return iter(tuple(self._riders))
@@ -89,6 +95,35 @@ class Convoy:
     @property
     def next_to_leave(self) -> Rider | None:
         return min(self.coupled, key=lambda rider: rider.left_m, default=None)
+
+    @property
+    def leaving(self) -> tuple[Rider, ...]:
+        """At the end of a ride, those for whom it is the end."""
+        return tuple(rider for rider in self.coupled if rider.leaving)
+
+    def missing(self, since: float) -> tuple[Rider, ...]:
+        """Those that do not follow, or have not said so after ``since``."""
+        return tuple(r for r in self.coupled if not r.following or r.acked_at <= since)
+
+    def behind(self, most_m: float) -> tuple[Rider, ...]:
+        """Those for whom the driver waits: missing since it does, or with a gap above ``most_m`` (P17 §4)."""
+        missing = self.missing(self.waits_since)
+        return tuple(r for r in self.coupled if r in missing or (r.gap_m or 0.0) > most_m)
+
+    def silent(self, now: float, timeout_s: float) -> tuple[Rider, ...]:
+        """Those on their way that have not said for so long when they will be there, nor have come when they said."""
+        return tuple(r for r in self._riders if not r.coupled and now - max(r.heard_at, r.due) > timeout_s)
+
+    def let_leave(self) -> None:
+        """The ride ends for the next to leave, and for those who would leave within a metre of it."""
+        first = self.next_to_leave
+        for rider in self.coupled:
+            rider.leaving = first is not None and rider.left_m <= first.left_m + _LEAVE_TOGETHER_M
+
+    def credit(self, metres: float) -> None:
+        """All that are coupled have ridden so far."""
+        for rider in self.coupled:
+            rider.ridden_m += metres
 
     def find(self, message: Message) -> Rider | None:
         """The rider that sends a message of its present ride."""
@@ -135,3 +170,20 @@ class Convoy:
                 here = handover("measured", here, ahead.seen, rear_marker.marker_pose, mounting)
             rear_marker = ahead.rear_marker
         return PoseEstimate(driver.stamp, here.pose, here.covariance)
+
+
+class Odometer:
+    """Metres that a driver has gone with its riders, from its estimates."""
+
+    def __init__(self) -> None:
+        self._at: Pose2D | None = None
+
+    def step(self, pose: Pose2D, last: bool = False) -> float:
+        """Metres since those that were counted last; a step that is too short to count waits, unless it is the last."""
+        if self._at is None:
+            self._at = pose
+        metres = distance(self._at, pose)
+        if not last and metres < _ODOMETER_STEP_M:
+            return 0.0
+        self._at = pose
+        return metres

@@ -13,12 +13,14 @@ from hitchhike_ros.experiments.faults.fleets import SEVERE, fault_run
 from hitchhike_ros.protocol.agent import Traveller
 from hitchhike_ros.protocol.driver import machine as d
 from hitchhike_ros.protocol.driver.convoy import Convoy, Rider
+from hitchhike_ros.protocol.driver.facts import DriverFacts
 from hitchhike_ros.protocol.driver.machine import DriverMachine
 from hitchhike_ros.protocol.events import Award, TakeObstacles
 from hitchhike_ros.protocol.hitchhiker import machine as h
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.ride import Ride
-from hitchhike_ros.protocol.loose_machine import Machine
+from hitchhike_ros.protocol.loose_machine import Machine as LooseMachine
+from hitchhike_ros.protocol.machine import Machine, Table
 
 # Bad networks and worse ones take turns.
 SEEDS = [seed for k in range(100) for seed in (k, SEVERE + k)]
@@ -48,9 +50,14 @@ def _before(cls: type, name: str, change: Callable[..., Any]) -> Patch:
     return patch
 
 
-def _without_timeout(cls: type[Machine[Any]], state: object) -> Patch:
+def _without_timeout(cls: Any, state: object) -> Patch:
     def patch(monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(cls, "TIMEOUTS", tuple(t for t in cls.TIMEOUTS if t.state is not state))
+        if issubclass(cls, LooseMachine):
+            monkeypatch.setattr(cls, "TIMEOUTS", tuple(t for t in cls.TIMEOUTS if t.state is not state))
+            return
+        table = Table(cls.ROWS)
+        del table.deadlines[state]
+        monkeypatch.setattr(cls, "TABLE", table)
 
     return patch
 
@@ -66,18 +73,18 @@ def _without_obstacles(original: Any, self: HitchhikerMachine, *args: Any) -> No
 
 
 def _count_twice(original: Any, self: DriverMachine, *args: Any, **kw: Any) -> None:
-    before = {id(rider): rider.ridden_m for rider in self._convoy}
+    before = {id(rider): rider.ridden_m for rider in self.rides}
     original(self, *args, **kw)
-    for rider in self._convoy:
+    for rider in self.rides:
         rider.ridden_m += rider.ridden_m - before[id(rider)]
 
 
 def _never_free(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(DriverMachine, "free_places", property(lambda _self: 1))
+    monkeypatch.setattr(DriverFacts, "free_places", property(lambda _self: 1))
 
 
 def _fast_with_riders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(DriverMachine, "speed_limit_mps", property(lambda self: self.params.safe_speed_mps))
+    monkeypatch.setattr(DriverFacts, "speed_limit_mps", property(lambda self: self.params.safe_speed_mps))
 
 
 def _keep(_original: Any, self: Convoy, rider: Rider) -> None:
@@ -85,9 +92,7 @@ def _keep(_original: Any, self: Convoy, rider: Rider) -> None:
 
 
 def _join_again(original: Any, self: DriverMachine, lock: Any) -> None:
-    rider = self._convoy.find(lock)
-    if rider is not None:
-        self._convoy.add(replace(rider))
+    self.facts.convoy.add(replace(self._rider(lock)))
     original(self, lock)
 
 
@@ -98,7 +103,12 @@ def _credit_nobody(original: Any, self: DriverMachine, *args: Any, **kw: Any) ->
 
 def _wait_for_coupling(monkeypatch: pytest.MonkeyPatch) -> None:
     _without_timeout(DriverMachine, d.S.ALIGNED)(monkeypatch)
-    _before(DriverMachine, "_drop_silent", _nothing)(monkeypatch)
+    _before(Convoy, "silent", lambda *_: ())(monkeypatch)
+
+
+def _say_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+    for base in (Machine, LooseMachine):
+        _before(base, "_every", lambda *_: True)(monkeypatch)
 
 
 def _nothing(*_: Any, **__: Any) -> None:
@@ -117,14 +127,14 @@ MUTATIONS: dict[str, Patch] = {
     "hand over for ever": _without_timeout(DriverMachine, d.S.DECOUPLING),
     "ask for a lock for ever": _without_timeout(HitchhikerMachine, h.S.LOCKING),
     "believe in a silent driver": _before(Ride, "silent", lambda *_: False),
-    "never miss a rider": _before(DriverMachine, "_missing", lambda *_: ()),
-    "keep a rider that has left": _before(DriverMachine, "_rider_gone", _nothing),
+    "never miss a rider": _before(Convoy, "missing", lambda *_: ()),
+    "keep a rider that has left": _before(DriverMachine, "_drop_sender", _nothing),
     "keep a rider that was handed over": _before(Convoy, "remove", _keep),
     "give a place twice": _before(DriverMachine, "_confirm_lock", _join_again),
     "more riders than places": _never_free,
     "take the map without its boxes": _before(HitchhikerMachine, "_restart_from", _without_obstacles),
     "forget the goal after a ride": _before(Traveller, "_go_on", lambda *_: []),
-    "say everything at every tick": _before(Machine, "_every", lambda *_: True),
+    "say everything at every tick": _say_everything,
     "hurry with a rider": _fast_with_riders,
 }
 

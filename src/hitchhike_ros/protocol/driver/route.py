@@ -1,0 +1,93 @@
+"""The driver's own way: its goal and the path there, how far it is to the boarding place, how navigation fares."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D, PoseEstimate
+from hitchhike_ros.core.errors import PlanningError
+from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.protocol.announcement import OwnPath
+from hitchhike_ros.protocol.events import NavigationReport
+from hitchhike_ros.protocol.matching import Boardings, Planner
+from hitchhike_ros.protocol.messages import Request, Waypoint
+from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import Ending, Reason
+
+# Answers to so many questions are remembered (chosen).
+_REMEMBERED = 30
+
+
+class Route:
+    """A goal of the robot's own, under one order to navigation, and the path to it as far as that is known."""
+
+    def __init__(self, goal: Pose2D, order: str, planner: Planner, sites: Sites, params: HitchhikingParameters) -> None:
+        self.goal, self.order = goal, order
+        self._planner, self._sites, self._params = planner, sites, params
+        self._path: OwnPath | None = None
+        self._boardings: Boardings | None = None  # along that path
+        self._asked: dict[tuple[str, str], bool] = {}  # whether it serves who asked
+
+    def path(self, estimate: PoseEstimate | None, may_plan: bool) -> OwnPath | None:
+        """The path to the goal with how far the robot has come; None where it has no pose, or there is no way.
+
+        ``may_plan``: a robot that has left its path, or has none yet, gets a new one.
+        """
+        if estimate is None:
+            return None
+        on_it = self._path is not None and self._path.advance(estimate.pose)
+        if not on_it and may_plan:
+            self._boardings = None
+            try:
+                self._path = OwnPath(self._planner(estimate.pose, self.goal))
+            except PlanningError:
+                self._path = None  # navigation finds out too, and says why
+        return self._path
+
+    def serves(self, request: Request, estimate: PoseEstimate | None, may_plan: bool) -> bool:
+        """Whether it comes by a place from where its way is the hitchhiker's too; a question is repeated, not this."""
+        key = (request.robot_id, request.ride_id)
+        if key not in self._asked:
+            path = self.path(estimate, may_plan)
+            if path is None:
+                return False
+            if self._boardings is None:
+                self._boardings = Boardings(path, self._sites, self._params)
+            self._asked = dict(list(self._asked.items())[-_REMEMBERED:])
+            self._asked[key] = self._boardings.serve(request.goal)
+        return self._asked[key]
+
+
+def onward(
+    path: OwnPath, point: HitchhikingPoint, board_m: float, speed_mps: float, in_s: float
+) -> tuple[Waypoint, ...]:
+    """The rest of ``path`` for whoever boards at ``point``, ``board_m`` along it, in ``in_s``."""
+    ends = [(pose.x, pose.y) for pose in (point.waiting_pose, point.aligning_pose)]
+    return OwnPath(np.vstack([ends, path.line.ahead(board_m).points[1:]])).waypoints(speed_mps, in_s)
+
+
+class NavigationWatch:
+    """Whether navigation arrives, or has been stuck or without a path for too long, of one order after another."""
+
+    def __init__(self, params: HitchhikingParameters) -> None:
+        self._params = params
+        self._stuck_since = self._planned_at = 0.0
+        self.ending: Ending | None = None
+        """How the present order ends: ``Reason.ARRIVED``, or why it is given up; None while navigation is at it."""
+
+    def note(self, report: NavigationReport | None, order: str | None, ordered_at: float, now: float) -> None:
+        """What navigation says now; ``order`` is the present one, given at ``ordered_at``."""
+        state = report.state if report is not None and report.goal_id == order else ""
+        if state != "failed":
+            self._planned_at = now
+        if state not in ("blocked", "failed"):
+            self._stuck_since = now
+        # A new order is not stuck because the one before was.
+        without_plan_s = now - max(self._planned_at, ordered_at)
+        stuck_s = now - max(self._stuck_since, ordered_at)
+        if state == "arrived":
+            self.ending = Ending(Reason.ARRIVED)
+        elif without_plan_s > self._params.planner_patience_s or stuck_s > self._params.stuck_timeout_s:
+            self.ending = Ending(Reason.CANNOT_GO_ON, "" if report is None else report.reason)
+        else:
+            self.ending = None
