@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner, Result
 
@@ -149,5 +150,6 @@ def test_wrong_usage_is_said_before_anything_is_driven(tmp_path: Path, driver: D
             (["ride", "--port", str(taken.getsockname()[1])], "something listens there"),
         ):
             result, status = invoke(tmp_path, *arguments)
-            assert status == 2 and words in str(result.exception), arguments
+            assert status == 2 and isinstance(result.exception, click.ClickException), arguments
+            assert words in result.exception.format_message(), arguments
     assert driver.driven == []
