@@ -17,15 +17,13 @@ from std_msgs.msg import Header, String
 from hitchhike_ros.core.errors import HitchhikeError, MessageError
 from hitchhike_ros.protocol.status import Status, decode_status
 from hitchhike_ros.ros_io.conversions import to_stamp
-from hitchhike_ros.ros_io.timer import clock
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-def run(name: str, build: Callable[[], object], *, dozes: bool = False) -> None:
+def run(name: str, build: Callable[[], object]) -> None:
     """Start node ``name``, build it and spin. Bad input ends it with one clear line and exit status 1.
 
-    One that ``dozes`` hears a simulated clock now and then only, except while a timer of its runs (:mod:`.timer`).
     ``--help`` on the command line prints the docstring of the module that defines ``build``.
     """
     if {"-h", "--help"} & set(rospy.myargv(sys.argv)[1:]):
@@ -33,8 +31,6 @@ def run(name: str, build: Callable[[], object], *, dozes: bool = False) -> None:
         print(sys.modules[build.__module__].__doc__)
         return
     rospy.init_node(name)
-    if dozes:
-        clock.doze()
     try:
         node = build()
     except HitchhikeError as exc:
@@ -45,6 +41,19 @@ def run(name: str, build: Callable[[], object], *, dozes: bool = False) -> None:
     rospy.spin()
     if getattr(node, "failure", None) is not None:
         sys.exit(1)
+
+
+def every(period_s: float, callback: Callable[[], object]) -> rospy.Timer:
+    """Call back every ``period_s`` of ROS time. An exception ends the node; rospy would end the timer in silence."""
+
+    def call(_event: rospy.timer.TimerEvent) -> None:
+        try:
+            callback()
+        except BaseException as exc:
+            rospy.signal_shutdown(f"{type(exc).__name__}: {exc}")
+            raise
+
+    return rospy.Timer(rospy.Duration.from_sec(period_s), call, reset=True)
 
 
 class _Updater(diagnostic_updater.Updater):

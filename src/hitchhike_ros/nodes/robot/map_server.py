@@ -56,4 +56,4 @@ class MapServer:
 
 def main() -> None:
     """Entry point of ``rosrun hitchhike_ros map_server``."""
-    run("map_server", MapServer, dozes=True)
+    run("map_server", MapServer)

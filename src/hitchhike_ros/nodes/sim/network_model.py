@@ -43,9 +43,8 @@ from std_msgs.msg import String
 
 from hitchhike_ros.core.datatypes import Positive
 from hitchhike_ros.core.errors import ParameterError
-from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
+from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, every, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
-from hitchhike_ros.ros_io.timer import Timer
 from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters, Radio
 from hitchhike_ros.simulation.world_file import load_world
 
@@ -88,7 +87,7 @@ class NetworkModelNode:
                 for robot in robots
             ]
         self._report()
-        self._timers = [Timer(1.0 / params.rate, self._deliver), Timer(1.0, self._report)]
+        self._timers = [every(1.0 / params.rate, self._deliver), every(1.0, self._report)]
 
     def _on_truth(self, msg: Odometry, robot: str) -> None:
         with self._lock:

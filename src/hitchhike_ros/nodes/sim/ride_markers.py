@@ -29,9 +29,8 @@ from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import decode_status
 from hitchhike_ros.ros_io.markers import DrawnRobot, point_markers, robot_markers
-from hitchhike_ros.ros_io.node import run
+from hitchhike_ros.ros_io.node import every, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
-from hitchhike_ros.ros_io.timer import Timer
 from hitchhike_ros.simulation.world_file import load_world
 
 _BESIDE_M = 0.8  # where a robot's text stands
@@ -67,7 +66,7 @@ class RideMarkers:
                 subscriber = rospy.Subscriber(f"/{robot.name}/{topic}", String, callback, robot, queue_size=5)
                 self._subscribers.append(subscriber)
         period_s = node_parameters(RideMarkersParameters, "ride_markers").period_s
-        self._timer = Timer(period_s, self._draw)
+        self._timer = every(period_s, self._draw)
 
     def _on_status(self, msg: String, robot: DrawnRobot) -> None:
         try:
