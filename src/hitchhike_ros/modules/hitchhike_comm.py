@@ -18,7 +18,7 @@ from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, In
 from hitchhike_ros.modules.module import Fresh, Health, Level, Order, Outputs, Refused
 from hitchhike_ros.modules.robot_files import RobotFiles
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.agent import Agent
 from hitchhike_ros.protocol.events import (
     Award,
     Effect,
@@ -83,7 +83,7 @@ class HitchhikeCommOutputs(Outputs):
 
 
 class HitchhikeComm:
-    """Steps the robot's traveller with what arrives, and says what it wants."""
+    """Steps the robot's agent with what arrives, and says what it wants."""
 
     name: ClassVar[str] = "hitchhike_comm"
     inputs: ClassVar[frozenset[type]] = frozenset(
@@ -108,7 +108,7 @@ class HitchhikeComm:
         greater than any number of an earlier start, or others take what it says for a replay."""
         self.robot_id = robot_id
         self._planner = planner
-        self._traveller = Traveller(robot_id, params, sites, self._plan, marker_pose, (camera.x, camera.y), radius_m)
+        self._agent = Agent(robot_id, params, sites, self._plan, marker_pose, (camera.x, camera.y), radius_m)
         self._inbox = Inbox(robot_id)
         self._outbox = Outbox(first_seq)
         self._events: deque[object] = deque()
@@ -190,9 +190,9 @@ class HitchhikeComm:
         events, self._events = list(self._events), deque()
         effects: list[Effect] = []
         for event in [*events, Tick(self._situation(now))]:
-            effects += self._traveller.step(event, now)
-        status = self._traveller.status(now)
-        outcome = self._traveller.outcome
+            effects += self._agent.step(event, now)
+        status = self._agent.status(now)
+        outcome = self._agent.outcome
         estimate = self._estimate.get(now)
         new_pose = estimate if estimate is not self._told else None
         self._told = estimate

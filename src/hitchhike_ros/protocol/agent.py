@@ -19,25 +19,26 @@ from hitchhike_ros.protocol.announcement import OwnPath
 from hitchhike_ros.protocol.driver.machine import DriverMachine
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
-from hitchhike_ros.protocol.hitchhiker.machine import COUPLED, HitchhikerMachine
+from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.matching import Boardings, Planner, solo_metres
 from hitchhike_ros.protocol.messages import Beacon, Message, RearMarker, Request
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
+from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.protocol.status import Status
 
+# In these phases of a ride it looks for the driver of the next one.
+_BOOKS = (Phase.MEETING, Phase.COUPLED, Phase.HANDING_OVER)
 # Who has asked the better profile for a ride gives it so many windows to become a driver (chosen).
 _REVERSAL_WINDOWS = 3.0
 
 
-class Traveller:
-    """Owns the robot's goal and its machines; only one of them has it at a time.
+class Agent:
+    """Owns the robot's goal and the machines of both roles, of which one at a time brings the robot to it.
 
     ``metres`` of driving alone are what itineraries are planned with; by default every way is planned.
-
-    Raises TransitionError as the machines do.
     """
 
     def __init__(
@@ -64,7 +65,8 @@ class Traveller:
         self.booking: HitchhikerMachine | None = None  # of the ride after this one
         self.driver = DriverMachine(robot_id, params, sites, planner, marker_pose)
         self._situation = Situation()
-        self._pending: Pose2D | None = None
+        self._goal: Pose2D | None = None  # the newest that was given, and not withdrawn
+        self._waits = False  # with the goal, until it knows where it is and no ride is on
         self._asks = 0  # on the way to the present goal
         self._reversed_at = -math.inf
         self._booked_for = ""  # the ride after which another one was looked for
@@ -73,23 +75,31 @@ class Traveller:
 
     @property
     def rides(self) -> bool:
+        """Whether it is a hitchhiker, from its request on."""
         return self.hitchhiker.state is not HitchhikerState.IDLE
+
+    @property
+    def goal(self) -> Pose2D | None:
+        """Where it is on its way to; None where it is at rest, or has not set out yet."""
+        return self._goal if self._set_out else None
+
+    @property
+    def _set_out(self) -> bool:
+        return not self._waits and (self.rides or self.driver.state is not DriverState.IDLE)
 
     @property
     def outcome(self) -> Ending | None:
         """How the last goal ended; None while the robot is on its way to one."""
-        if self._pending is not None or self.rides or self.driver.state is not DriverState.IDLE:
-            return None
-        return self.driver.ending
+        return None if self._waits or self._set_out else self.driver.ending
 
     def step(self, event: object, now: float) -> list[Effect]:
-        """Take a GoalGiven, GoalCancelled, Tick or network Message."""
+        """Take a GoalGiven, GoalCancelled, Tick or network Message, and say what is to be done."""
         if isinstance(event, Beacon):  # first, as by far the most frequent
             self.neighbours.hear(event, now)
             return []
         if isinstance(event, GoalGiven):
             effects = self._drop_goal(now)
-            self._pending, self._asks = event.goal, 0
+            self._goal, self._waits, self._asks = event.goal, True, 0
             return effects
         if isinstance(event, GoalCancelled):
             return self._drop_goal(now)
@@ -140,11 +150,11 @@ class Traveller:
         rode = self.rides
         effects = self.hitchhiker.step(tick, now) + self.driver.step(tick, now)
         effects += self._book(now)
-        if rode and not self.rides and self.hitchhiker.goal is not None:
-            effects += self._go_on(self.hitchhiker.goal, now)
-        if self._pending is not None and not self.rides and tick.situation.estimate is not None:
-            goal, self._pending = self._pending, None
-            effects += self._ask(goal, now) if self._wants_ride(goal) else self.driver.step(GoalGiven(goal), now)
+        if rode and not self.rides and self._goal is not None and not self._waits:
+            effects += self._go_on(self._goal, now)
+        if self._waits and self._goal is not None and not self.rides and tick.situation.estimate is not None:
+            self._waits = False
+            effects += self._begin(self._goal, now)
         if now >= self._forget_due:
             longest_s = max(self.params.robot_timeout_s, self.params.lost_timeout_s)
             self._forget_due = now + longest_s
@@ -158,6 +168,9 @@ class Traveller:
         return HitchhikerMachine(
             self.robot_id, self.params, self._sites, self._camera, self._rear_marker, self.neighbours, self._metres
         )
+
+    def _begin(self, goal: Pose2D, now: float) -> list[Effect]:
+        return self._ask(goal, now) if self._wants_ride(goal) else self.driver.step(GoalGiven(goal), now)
 
     def _ask(self, goal: Pose2D, now: float) -> list[Effect]:
         self._asks += 1
@@ -180,16 +193,15 @@ class Traveller:
         """Look for the driver after this one in time, where the itinerary has another ride."""
         current = self.hitchhiker
         meeting, booking = current.meeting, self.booking
-        if meeting is None or current.goal is None:
+        if meeting is None or self.goal is None:
             return []
         ready_in_s = max(current.ride_ends_in_s(), 1e-3)
         there = PoseEstimate(now, Pose2D(*meeting.leave), np.zeros((3, 3)))
         tick = Tick(Situation(estimate=there))
-        under_way = current.state in (HitchhikerState.AWAITING_ALIGNED, *COUPLED)
-        if booking is None and meeting.more and under_way and self._booked_for != current.ride_id:
+        if booking is None and meeting.more and current.state.phase in _BOOKS and self._booked_for != current.ride_id:
             self._booked_for = current.ride_id
             self.booking = booking = self._new_hitchhiker()
-            return booking.step(tick, now) + booking.ask(current.goal, now, ready_in_s=ready_in_s)
+            return booking.step(tick, now) + booking.ask(self.goal, now, ready_in_s=ready_in_s)
         if booking is None:
             return []
         booking.can_start_in(ready_in_s)
@@ -200,7 +212,7 @@ class Traveller:
 
     def _rather_rides(self, request: Request, now: float) -> bool:
         """Whether it asks the one that asks for a ride instead: that one has the better profile (role reversal)."""
-        own, goal, here = self.params, self.driver.own_goal, self._situation.estimate
+        own, goal, here = self.params, self.goal, self._situation.estimate
         willing = own.mode == "network" and own.role_reversal and own.may_ride and self._asks < own.max_asks
         if not willing or self.rides or self.driver.state is not DriverState.NAVIGATING:
             return False
@@ -217,7 +229,7 @@ class Traveller:
 
     def _reverse_roles(self, request: Request, now: float) -> list[Effect]:
         """It asks that one alone, and gives it the time to give up its own question."""
-        goal = self.driver.own_goal
+        goal = self._goal
         assert goal is not None
         effects: list[Effect] = [Report(str(Reason.ROLES_REVERSED), Reason.ROLES_REVERSED)]
         effects += self.driver.step(GoalCancelled(), now)
@@ -226,7 +238,7 @@ class Traveller:
         return effects + self.hitchhiker.ask(goal, now, request.robot_id, window_s)
 
     def _drop_goal(self, now: float) -> list[Effect]:
-        self._pending = None
+        self._goal, self._waits = None, False
         effects = self.hitchhiker.step(GoalCancelled(), now) + self.driver.step(GoalCancelled(), now)
         if self.booking is not None:
             booking, self.booking = self.booking, None
@@ -253,8 +265,8 @@ class Traveller:
             priority=self.params.priority,
             radius_m=self._radius_m,
             pose=None if estimate is None else estimate.pose,
-            goal=self.hitchhiker.goal if self.rides else self.driver.own_goal,
+            goal=self.goal,
             path=self.driver.announced() if in_network else (),
-            free_places=self.driver.free_places if in_network and self.driver.own_goal is not None else 0,
+            free_places=self.driver.free_places if in_network and self.goal is not None else 0,
             safe_speed_mps=self.params.safe_speed_mps,
         )

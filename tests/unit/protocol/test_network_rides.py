@@ -1,4 +1,4 @@
-"""Rides that are arranged from afar (P18 §4 to §6): real travellers in the grid simulator, three corridors.
+"""Rides that are arranged from afar (P18 §4 to §6): real agents in the grid simulator, three corridors.
 
 y = 64  |            |            hitchhiking points: "west" on the long corridor, eastward; "south" before the
         |            |            crossing, northward; "north" on the right one behind the crossing, northward
@@ -376,7 +376,7 @@ def test_an_offer_that_is_none_is_not_taken(change: dict[str, Any], ignored: int
     fleet = Fleet()
     rider = fleet.add("rider", WEST_POINT, EAST_END)
     fleet.run(lambda: rider.status.state == "requesting")
-    hitchhiker, now = rider.traveller.hitchhiker, fleet.world.now
+    hitchhiker, now = rider.agent.hitchhiker, fleet.world.now
     fields: dict[str, Any] = {
         "robot_id": "nobody",
         "to": "rider",
@@ -393,7 +393,7 @@ def test_an_offer_that_is_none_is_not_taken(change: dict[str, Any], ignored: int
         "path": ((10.0, 40.0, 0.0), (10.0, 30.0, 20.0), (69.0, 30.0, 140.0)),
     }
     before = hitchhiker.ignored
-    rider.traveller.step(Accept(**{**fields, **change}), now)
+    rider.agent.step(Accept(**{**fields, **change}), now)
     assert hitchhiker.ignored - before == ignored
     fleet.run(lambda: rider.status.state != "requesting")
     assert rider.status.state == "navigating"
@@ -409,7 +409,7 @@ def test_a_driver_denies_a_lock_whose_meeting_is_not_on_its_way() -> None:
     now = fleet.world.now
 
     def answer(message: Message) -> Any:
-        (sent,) = (effect.message for effect in driver.traveller.step(message, now) if isinstance(effect, Send))
+        (sent,) = (effect.message for effect in driver.agent.step(message, now) if isinstance(effect, Send))
         return sent
 
     assert isinstance(answer(ask), Accept)
@@ -424,7 +424,7 @@ def test_a_driver_denies_a_lock_whose_meeting_is_not_on_its_way() -> None:
     ):
         denial = answer(Lock(**common, **{**places, **change}))
         assert getattr(denial, "reason", None) == reason, change
-    assert driver.traveller.driver.refused == 6
+    assert driver.agent.driver.refused == 6
     assert answer(Lock(**common, **places)).type == "ack"
 
 
@@ -448,7 +448,7 @@ def test_a_driver_that_says_it_is_late_is_not_waited_for() -> None:
     rider = fleet.add("rider", WEST_POINT, EAST_END, max_wait_s=30.0)
     fleet.run(lambda: rider.status.state == "awaiting_aligned")
     assert rider.status.ride is not None
-    facts = driver.traveller.driver.facts
+    facts = driver.agent.driver.facts
     facts.boarding = replace(facts.boarding, at_m=facts.boarding.at_m + 100.0)  # as if it had come to a way round
     fleet.run(lambda: rider.status.state != "awaiting_aligned", limit_s=fleet.world.now + 5.0)
     assert (rider.status.state, rider.status.reason) == ("requesting", "Driver is late")

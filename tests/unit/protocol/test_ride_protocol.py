@@ -1,4 +1,4 @@
-"""Two travellers on a network that loses, doubles and delays: whatever happens, both reach their goals."""
+"""Two agents on a network that loses, doubles and delays: whatever happens, both reach their goals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from hitchhike_ros.core.datatypes import FloatArray, MarkerObservation, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import MessageError, UnreachableError
 from hitchhike_ros.core.geometry import between, compose, distance, wrap_angle
-from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.agent import Agent
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import (
     Award,
@@ -72,7 +72,7 @@ Filter = Callable[[float, Message], bool]
 class Robot:
     """A point that drives along the corridor by itself, or behind the marker, as its status says."""
 
-    traveller: Traveller
+    agent: Agent
     pose: Pose2D
     inbox: Inbox = field(init=False)
     estimate: Pose2D = field(init=False)
@@ -88,7 +88,7 @@ class Robot:
     blind: bool = False
 
     def __post_init__(self) -> None:
-        self.inbox, self.estimate = Inbox(self.traveller.robot_id), self.pose
+        self.inbox, self.estimate = Inbox(self.agent.robot_id), self.pose
 
     def drive(self, status: Status, leader: Robot) -> None:
         """One step of motion; localization is dead reckoning without error, from whatever pose it was given."""
@@ -157,9 +157,9 @@ class World:
 
         def robot(name: str, start: Pose2D, goal: Pose2D, **params: Any) -> Robot:
             settings = HitchhikingParameters(**params, lost_timeout_s=self.lost_timeout_s)
-            traveller = Traveller(name, settings, SITES, corridor_path, MARKER_POSE, CAMERA, 0.3)
-            traveller.step(GoalGiven(goal), self.now)
-            return Robot(traveller, start)
+            agent = Agent(name, settings, SITES, corridor_path, MARKER_POSE, CAMERA, 0.3)
+            agent.step(GoalGiven(goal), self.now)
+            return Robot(agent, start)
 
         self.rider = robot(RIDER, WEST.waiting_pose, RIDER_GOAL, profile=40.0)
         self.driver = robot(DRIVER, Pose2D(-3.0, 5.72), DRIVER_GOAL, profile=80.0, may_ride=False)
@@ -181,13 +181,13 @@ class World:
                     if message is not None:
                         self.step(robot, message)
                 self.step(robot, Tick(robot.situation(self.now, other)))
-                robot.statuses.append(robot.traveller.status(self.now))
+                robot.statuses.append(robot.agent.status(self.now))
             for robot, other in (self.robots, self.robots[::-1]):
                 robot.drive(robot.statuses[-1], other)
         return self
 
     def step(self, robot: Robot, event: object) -> None:
-        for effect in robot.traveller.step(event, self.now):
+        for effect in robot.agent.step(event, self.now):
             match effect:
                 case Send(message):
                     self.transmit(robot.outbox.stamp(message, self.now))
@@ -358,20 +358,20 @@ def test_why_a_robot_goes_on_alone_stays_in_its_status() -> None:
     assert world.rider.statuses[-1].reason == "Driver not found"
 
 
-# What one traveller decides by itself.
+# What one agent decides by itself.
 
 
 def test_the_status_says_how_the_driver_is_followed() -> None:
     world = World()
-    world.run(until=lambda: world.rider.traveller.status(world.now).state == "riding")
+    world.run(until=lambda: world.rider.agent.status(world.now).state == "riding")
     for robot, other, said in ((world.rider, world.driver, "coasting"), (world.driver, world.rider, "")):
         situation = replace(robot.situation(world.now, other), following="coasting")
-        robot.traveller.step(Tick(situation), world.now)
-        assert robot.traveller.status(world.now).following == said
+        robot.agent.step(Tick(situation), world.now)
+        assert robot.agent.status(world.now).following == said
 
 
-def _traveller(planner: Planner = corridor_path, **params: Any) -> Traveller:
-    return Traveller(RIDER, HitchhikingParameters(**params), SITES, planner, MARKER_POSE, CAMERA, 0.3)
+def _agent(planner: Planner = corridor_path, **params: Any) -> Agent:
+    return Agent(RIDER, HitchhikingParameters(**params), SITES, planner, MARKER_POSE, CAMERA, 0.3)
 
 
 def _here(now: float) -> Tick:
@@ -384,40 +384,40 @@ def _walled(_start: Pose2D, _goal: Pose2D) -> FloatArray:
 
 @pytest.mark.parametrize("may_ride", [True, False])
 def test_the_outcome_of_a_goal_is_known_when_its_way_ends_and_not_before(may_ride: bool) -> None:
-    traveller = _traveller(may_ride=may_ride)
-    assert str(traveller.outcome) == ""
-    traveller.step(GoalGiven(RIDER_GOAL), 1.0)
-    assert traveller.outcome is None  # not even begun
+    agent = _agent(may_ride=may_ride)
+    assert str(agent.outcome) == ""
+    agent.step(GoalGiven(RIDER_GOAL), 1.0)
+    assert agent.outcome is None  # not even begun
     for now in (1.0, 1.1):
-        traveller.step(_here(now), now)
-    assert traveller.outcome is None
-    assert traveller.rides is may_ride
+        agent.step(_here(now), now)
+    assert agent.outcome is None
+    assert agent.rides is may_ride
     if may_ride:
-        traveller.step(_here(70.0), 70.0)  # nobody has come
-        assert not traveller.rides
-        assert traveller.outcome is None
-    goal = traveller.status(70.0).goal
+        agent.step(_here(70.0), 70.0)  # nobody has come
+        assert not agent.rides
+        assert agent.outcome is None
+    goal = agent.status(70.0).goal
     assert goal is not None
     report = NavigationReport(goal.id, "arrived")
-    traveller.step(Tick(replace(_here(71.0).situation, navigation=report)), 71.0)
-    assert str(traveller.outcome) == "Goal reached"
-    traveller.step(GoalGiven(RIDER_GOAL), 72.0)
-    assert traveller.outcome is None
-    traveller.step(GoalCancelled(), 73.0)
-    assert str(traveller.outcome) == "Goal cancelled"
+    agent.step(Tick(replace(_here(71.0).situation, navigation=report)), 71.0)
+    assert str(agent.outcome) == "Goal reached"
+    agent.step(GoalGiven(RIDER_GOAL), 72.0)
+    assert agent.outcome is None
+    agent.step(GoalCancelled(), 73.0)
+    assert str(agent.outcome) == "Goal cancelled"
 
 
 def test_a_robot_that_is_stuck_gives_up_and_says_why() -> None:
-    traveller = _traveller(may_ride=False)
-    traveller.step(GoalGiven(RIDER_GOAL), 1.0)
-    traveller.step(_here(1.0), 1.0)
-    goal = traveller.status(1.0).goal
+    agent = _agent(may_ride=False)
+    agent.step(GoalGiven(RIDER_GOAL), 1.0)
+    agent.step(_here(1.0), 1.0)
+    goal = agent.status(1.0).goal
     assert goal is not None
     for now in (2.0, 30.9, 31.2):
-        assert traveller.outcome is None
+        assert agent.outcome is None
         report = NavigationReport(goal.id, "blocked", "no way past an obstacle")
-        traveller.step(Tick(replace(_here(now).situation, navigation=report)), now)
-    assert str(traveller.outcome) == "Navigation failed: no way past an obstacle"
+        agent.step(Tick(replace(_here(now).situation, navigation=report)), now)
+    assert str(agent.outcome) == "Navigation failed: no way past an obstacle"
 
 
 @pytest.mark.parametrize(
@@ -432,43 +432,43 @@ def test_a_robot_that_is_stuck_gives_up_and_says_why() -> None:
     ],
 )
 def test_when_it_asks_for_a_ride(params: dict[str, Any], planner: Planner, goal: Pose2D, rides: bool) -> None:
-    traveller = _traveller(planner, **params)
-    traveller.step(GoalGiven(goal), 1.0)
-    traveller.step(Tick(Situation()), 1.1)
-    assert traveller.status(1.1).state == "idle"  # it does not know yet where it is
-    traveller.step(_here(1.2), 1.2)
-    assert traveller.rides is rides
-    assert traveller.status(1.2).state == ("requesting" if rides else "navigating")
+    agent = _agent(planner, **params)
+    agent.step(GoalGiven(goal), 1.0)
+    agent.step(Tick(Situation()), 1.1)
+    assert agent.status(1.1).state == "idle"  # it does not know yet where it is
+    agent.step(_here(1.2), 1.2)
+    assert agent.rides is rides
+    assert agent.status(1.2).state == ("requesting" if rides else "navigating")
 
 
 def test_a_goal_that_is_cancelled_before_the_robot_knows_its_place_is_forgotten() -> None:
-    traveller = _traveller()
-    traveller.step(GoalGiven(RIDER_GOAL), 1.0)
-    traveller.step(GoalCancelled(), 1.1)
-    traveller.step(_here(1.2), 1.2)
-    assert traveller.status(1.2).state == "idle"
+    agent = _agent()
+    agent.step(GoalGiven(RIDER_GOAL), 1.0)
+    agent.step(GoalCancelled(), 1.1)
+    agent.step(_here(1.2), 1.2)
+    assert agent.status(1.2).state == "idle"
 
 
 def test_a_goal_given_during_a_ride_waits_until_the_robot_knows_its_place_again() -> None:
     world = World()
     world.run(until=lambda: world.rider.pose.x > 10.0)
-    traveller = world.rider.traveller
+    agent = world.rider.agent
     world.step(world.rider, GoalGiven(RIDER_GOAL))
     world.step(world.rider, _here(world.now))  # localization still says what it knew before the ride
-    assert traveller.status(world.now).state == "relocalizing"
+    assert agent.status(world.now).state == "relocalizing"
     world.come_to_an_end()
 
 
 def test_others_are_known_where_they_say_they_are_as_long_as_they_speak() -> None:
-    traveller = _traveller()
+    agent = _agent()
     heard = messages(DRIVER, "*", "")
-    traveller.step(heard[Request], 10.0)
-    assert [(r.x, r.y) for r in traveller.status(10.0).robots] == [(1.8, 5.72)]
-    traveller.step(replace(heard[Beacon], radius_m=0.27), 11.0)
-    assert traveller.status(13.9).robots == (KnownRobot(1.0, 2.0, 0.27),)
-    traveller.step(heard[Driver], 13.9)
-    assert traveller.status(14.1).robots == (KnownRobot(3.0, 5.72, 0.27),)
-    assert traveller.status(17.0).robots == ()
+    agent.step(heard[Request], 10.0)
+    assert [(r.x, r.y) for r in agent.status(10.0).robots] == [(1.8, 5.72)]
+    agent.step(replace(heard[Beacon], radius_m=0.27), 11.0)
+    assert agent.status(13.9).robots == (KnownRobot(1.0, 2.0, 0.27),)
+    agent.step(heard[Driver], 13.9)
+    assert agent.status(14.1).robots == (KnownRobot(3.0, 5.72, 0.27),)
+    assert agent.status(17.0).robots == ()
 
 
 def test_who_looks_for_no_robots_is_told_of_none_and_of_all_as_soon_as_it_looks() -> None:
@@ -523,9 +523,9 @@ _USUAL: dict[str, tuple[type[Message], ...]] = {
 
 
 def _walk(seed: int, steps: int) -> set[str]:
-    """A traveller to whom everything happens, what is usual more often than the rest; the states that it saw."""
+    """An agent to whom everything happens, what is usual more often than the rest; the states that it saw."""
     rng = random.Random(seed)
-    traveller = _traveller(min_ride_m=5.0, may_ride=seed % 2 == 0, seek_timeout_s=0.5)
+    agent = _agent(min_ride_m=5.0, may_ride=seed % 2 == 0, seek_timeout_s=0.5)
     now = 0.0
     visited: set[str] = set()
 
@@ -533,43 +533,43 @@ def _walk(seed: int, steps: int) -> set[str]:
         nonlocal now
         for _ in range(5):
             now += duration / 5
-            goal = traveller.driver.goal
+            goal = agent.driver.goal
             marker = MarkerObservation(now, 0, Pose2D(CAMERA[0] + 0.8, 0.0, math.pi), np.array(SIGMA))
             situation = Situation(
                 estimate=PoseEstimate(now, WEST.waiting_pose, np.array(SIGMA)) if localized else None,
                 navigation=NavigationReport(goal.id, "arrived" if arrived else "driving") if goal else None,
                 observation=marker if seen else None,
             )
-            traveller.step(Tick(situation), now)
-            visited.add(f"{'rider' if traveller.rides else 'driver'} {traveller.status(now).state}")
+            agent.step(Tick(situation), now)
+            visited.add(f"{'rider' if agent.rides else 'driver'} {agent.status(now).state}")
 
     for _ in range(steps):
         match rng.choices(("goal", "message", "time"), (1, 20, 15))[0]:
             case "goal":
-                traveller.step(rng.choice((GoalCancelled(), GoalGiven(RIDER_GOAL), GoalGiven(DRIVER_GOAL))), now)
+                agent.step(rng.choice((GoalCancelled(), GoalGiven(RIDER_GOAL), GoalGiven(DRIVER_GOAL))), now)
             case "message":
-                usual = _USUAL.get(traveller.status(now).state, (Driver, Ack))
+                usual = _USUAL.get(agent.status(now).state, (Driver, Ack))
                 kinds = usual if rng.random() < 0.6 else tuple(MESSAGE_TYPES.values())
-                offer = traveller.driver.offer
-                ride_id = offer.ride_id if offer is not None else traveller.hitchhiker.ride_id
+                offer = agent.driver.offer
+                ride_id = offer.ride_id if offer is not None else agent.hitchhiker.ride_id
                 message = messages(DRIVER, RIDER, ride_id)[rng.choice(kinds)]
                 if isinstance(message, Ack):
                     of, following = rng.choice(("lock", "driver", "decouple")), rng.random() < 0.7
                     message = replace(message, of=of, following=following)
-                traveller.step(message, now)
+                agent.step(message, now)
             case "time":
                 duration = rng.choice((0.2, 0.2, 0.5, 1.0, 1.0, 2.0, 2.0, 20.0))
                 tick(duration, rng.random() < 0.95, rng.random() < 0.8, rng.random() < 0.3)
-        status = traveller.status(now)
-        visited.add(f"{'rider' if traveller.rides else 'driver'} {status.state}")
+        status = agent.status(now)
+        visited.add(f"{'rider' if agent.rides else 'driver'} {status.state}")
         assert decode_status(encode_status(status)) == status
     for _ in range(40):
         tick(5.0)
-    assert traveller.status(now).state in ("idle", "navigating")  # left alone, it does not wait for anybody
+    assert agent.status(now).state in ("idle", "navigating")  # left alone, it does not wait for anybody
     return visited
 
 
-def test_no_order_of_events_breaks_a_traveller_or_keeps_it_waiting() -> None:
+def test_no_order_of_events_breaks_an_agent_or_keeps_it_waiting() -> None:
     visited = set().union(*(_walk(seed, 150) for seed in range(20)))
     riding = {f"rider {state.value}" for state in HitchhikerState if state is not HitchhikerState.IDLE}
     assert visited == riding | {f"driver {state.value}" for state in DriverState}

@@ -121,7 +121,7 @@ class Referee:
             boxes = frozenset(box.id for box in event.new_obstacles.obstacles)
             self._heard[robot.name, event.robot_id, event.seq] = boxes
         elif isinstance(event, Terminate | RequestCancel):
-            rider = robot.traveller.driver.rider(event.robot_id)
+            rider = robot.agent.driver.rider(event.robot_id)
             if rider is not None and rider.offer.ride_id == event.ride_id:
                 self._fail(f"{robot.name} keeps {rider.offer.hitchhiker}, who has ended {event.ride_id}")
         for effect in effects:
@@ -171,7 +171,7 @@ class Referee:
     # What must hold.
 
     def _check_driver(self, now: float, robot: GridRobot) -> None:
-        machine = robot.traveller.driver
+        machine = robot.agent.driver
         riders = machine.rides
         if not riders:
             return
@@ -187,19 +187,19 @@ class Referee:
                 self._lasts(now, lost, self._lost_s(robot), "driver", robot.name, rider.offer.ride_id)
         for rider in (rider for rider in riders if rider.coupled):
             hitchhiker = rider.offer.hitchhiker
-            others = (other.traveller.driver.rider(hitchhiker) for other in self._alive() if other is not robot)
+            others = (other.agent.driver.rider(hitchhiker) for other in self._alive() if other is not robot)
             twice = any(other is not None and other.coupled for other in others)
             self._lasts(now, twice, self._lost_s(robot), "two drivers", hitchhiker)
 
     def _check_hitchhiker(self, now: float, robot: GridRobot) -> None:
-        machine = robot.traveller.hitchhiker
+        machine = robot.agent.hitchhiker
         if machine.state.phase in _ON_THE_RIDE and machine.offer is not None:
             driver = self._world.robots.get(machine.offer.robot_id)
             ride = self._rides.get(machine.ride_id)
             if ride is not None and ride.ridden_from is not None:
                 robot.body.advance(now)
                 ride.ridden_m = robot.body.odometer_m - ride.ridden_from
-            rider = None if driver is None or not driver.alive else driver.traveller.driver.rider(robot.name)
+            rider = None if driver is None or not driver.alive else driver.agent.driver.rider(robot.name)
             knows = rider is not None and rider.offer.ride_id == machine.ride_id
             self._lasts(now, not knows, self._silent_s(robot), "rider", robot.name, machine.ride_id)
         for other in _hitchhikers(robot):
@@ -246,7 +246,7 @@ class Referee:
 
     def _rider_knows(self, rider: Rider) -> bool:
         robot = self._world.robots[rider.offer.hitchhiker]
-        machine = robot.traveller.hitchhiker
+        machine = robot.agent.hitchhiker
         return robot.alive and machine.ride_id == rider.offer.ride_id and machine.offer is not None
 
     def _track_metres(self, rider: Rider) -> None:
@@ -264,7 +264,7 @@ class Referee:
         self._owed.pop(name, None)
         self._since = {what: since for what, since in self._since.items() if name not in what}
         for robot in self._world.robots.values():
-            for rider in robot.traveller.driver.rides:
+            for rider in robot.agent.driver.rides:
                 if name in (robot.name, rider.offer.hitchhiker) and rider.offer.ride_id in self._rides:
                     self._rides[rider.offer.ride_id].crashed = True
 
@@ -273,6 +273,6 @@ class Referee:
 
 
 def _hitchhikers(robot: GridRobot) -> Iterator[HitchhikerMachine]:
-    yield robot.traveller.hitchhiker
-    if robot.traveller.booking is not None:
-        yield robot.traveller.booking
+    yield robot.agent.hitchhiker
+    if robot.agent.booking is not None:
+        yield robot.agent.booking

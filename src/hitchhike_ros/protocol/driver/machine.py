@@ -77,10 +77,6 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
     # What its modules and others are told.
 
     @property
-    def own_goal(self) -> Pose2D | None:
-        return None if self.facts.route is None else self.facts.route.goal
-
-    @property
     def offer(self) -> Offer | None:
         """The ride of the first hitchhiker."""
         return None if self.facts.first is None else self.facts.first.offer

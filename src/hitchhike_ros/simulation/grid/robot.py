@@ -7,7 +7,7 @@ from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
 
 from hitchhike_ros.core.datatypes import NonNegative, Obstacle, Pose2D
-from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.agent import Agent
 from hitchhike_ros.protocol.events import Award, Report
 from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.outbox import Outbox
@@ -54,14 +54,14 @@ class Trip:
 
 @dataclass(eq=False)
 class GridRobot:
-    """One robot: its traveller, its body, and what its modules know."""
+    """One robot: its agent, its body, and what its modules know."""
 
     name: str
     index: int
     params: HitchhikingParameters
     start: Pose2D
     body: Body
-    traveller: Traveller
+    agent: Agent
     inbox: Inbox | ObjectInbox
     clock_offset_s: float = 0.0
     safe_speed_mps: float = math.inf  # of the body, whatever it is told
@@ -165,8 +165,8 @@ class GridRobot:
         self.body.stop()
         self.alive, self.due, self.engaged, self.followed, self.goal_id = False, math.inf, False, None, ""
 
-    def wake(self, traveller: Traveller, inbox: Inbox | ObjectInbox, now: float) -> None:
+    def wake(self, agent: Agent, inbox: Inbox | ObjectInbox, now: float) -> None:
         """Its computer is on again, and remembers nothing but the map."""
-        self.traveller, self.inbox, self.outbox = traveller, inbox, Outbox()
+        self.agent, self.inbox, self.outbox = agent, inbox, Outbox()
         self.alive, self.key, self.lingers_until = True, (None, None), -math.inf
-        self.status, self.since = traveller.status(now + self.clock_offset_s, others=False), now
+        self.status, self.since = agent.status(now + self.clock_offset_s, others=False), now

@@ -86,7 +86,7 @@ class StandIns:
             robot.obstacles = tuple(robot.known[name] for name in robot.known_ids)
 
     def situation(self, robot: GridRobot, now: float) -> Situation:
-        """What the robot's modules tell its traveller."""
+        """What the robot's modules tell its agent."""
         stamp, status, body = now + robot.clock_offset_s, robot.status, robot.body
         estimate = self._estimate(body, stamp) if status.modules.LZN else None
         if not robot.engaged:

@@ -1,4 +1,4 @@
-"""The grid simulator: any number of robots, each a real traveller of the protocol, on one map and one clock (P18 §8.1).
+"""The grid simulator: any number of robots, each a real agent of the protocol, on one map and one clock (P18 §8.1).
 
 It goes from event to event: a message that arrives, a robot that has come to the end of its path, whose beacon is due,
 or that is engaged in a ride and looks again. Between events bodies move by formula, so a robot that drives or stands
@@ -18,7 +18,7 @@ import numpy as np
 from hitchhike_ros.core.datatypes import Obstacle, Pose2D
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.agent import Agent
 from hitchhike_ros.protocol.events import (
     Award,
     Effect,
@@ -55,7 +55,7 @@ _LEAST_STEP_S = 0.01
 class GridWorld:
     """Robots on a grid, the network between them, and the time.
 
-    ``observers`` are called after every event that a traveller took with (time, robot, event, effects): the event is a
+    ``observers`` are called after every event that an agent took with (time, robot, event, effects): the event is a
     Tick, a Message, a GoalGiven or a GoalCancelled; a crash and a restart are told as the strings ``"crash"`` and
     ``"restart"``. ``boxes`` stand in the world, but not in the map that robots begin with.
     """
@@ -105,7 +105,7 @@ class GridWorld:
             params=params,
             start=start,
             body=Body(start, self.now),
-            traveller=self._traveller(name, params),
+            agent=self._agent(name, params),
             inbox=self._inbox(name),
             clock_offset_s=clock_offset_s,
             errands=deque(errands),
@@ -137,11 +137,11 @@ class GridWorld:
             self._trace.tell(self.now, name, "crash", ())
 
     def restart(self, name: str) -> None:
-        """A new traveller that remembers nothing but its map, and is given its goal anew; nothing where one runs."""
+        """A new agent that remembers nothing but its map, and is given its goal anew; nothing where one runs."""
         robot = self.robots[name]
         if robot.alive:
             return
-        robot.wake(self._traveller(name, robot.params), self._inbox(name), self.now)
+        robot.wake(self._agent(name, robot.params), self._inbox(name), self.now)
         self._trace.tell(self.now, name, "restart", ())
         self._plan_tick_at(robot, self.now)
         if (trip := robot.trip) is not None:
@@ -233,7 +233,7 @@ class GridWorld:
         if robot.body.odometer_m >= robot.perceives_at_m:
             self._modules.perceive(robot)
         self._step(robot, Tick(self._modules.situation(robot, now)))
-        if (trip := robot.trip) is not None and (outcome := robot.traveller.outcome) is not None:
+        if (trip := robot.trip) is not None and (outcome := robot.agent.outcome) is not None:
             robot.end_trip(trip, now, outcome)
             if robot.errands:
                 next_s = max(robot.errands[0].at_s, now + robot.errands[0].after_s)
@@ -254,25 +254,25 @@ class GridWorld:
         heard = (beacon, now)
         for robot in robots:
             offset = robot.clock_offset_s
-            robot.traveller.neighbours.put_away(beacon, (beacon, now + offset) if offset else heard)
+            robot.agent.neighbours.put_away(beacon, (beacon, now + offset) if offset else heard)
             if wanted:
                 self._trace.tell(now, robot.name, beacon, ())
 
     def _step(self, robot: GridRobot, event: object) -> None:
-        """The traveller takes the event; its modules do what it wants from then on."""
+        """The agent takes the event; its modules do what it wants from then on."""
         now = self._schedule.now
         local = now + robot.clock_offset_s
-        traveller = robot.traveller
-        effects = traveller.step(event, local)
+        agent = robot.agent
+        effects = agent.step(event, local)
         for effect in effects:
             self._carry_out(robot, effect, local)
-        key = (traveller.hitchhiker.state, traveller.driver.state)
+        key = (agent.hitchhiker.state, agent.driver.state)
         told = isinstance(event, (GoalGiven, GoalCancelled)) or (robot.engaged and isinstance(event, Tick))
         news = told or key != robot.key
         if news:
             robot.key = key
             robot.body.advance(now)
-            robot.take_status(traveller.status(local, others=False), now)
+            robot.take_status(agent.status(local, others=False), now)
             self._modules.obey(robot, now)
         if self._trace.wanted:
             self._trace.tell(now, robot.name, event, effects)
@@ -314,9 +314,9 @@ class GridWorld:
 
     # What a robot's computer begins with.
 
-    def _traveller(self, name: str, params: HitchhikingParameters) -> Traveller:
+    def _agent(self, name: str, params: HitchhikingParameters) -> Agent:
         p = self.params
-        return Traveller(
+        return Agent(
             name,
             params,
             self.sites,

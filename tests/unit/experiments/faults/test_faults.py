@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hitchhike_ros.experiments.faults.fleets import SEVERE, fault_run
-from hitchhike_ros.protocol.agent import Traveller
+from hitchhike_ros.protocol.agent import Agent
 from hitchhike_ros.protocol.driver import machine as d
 from hitchhike_ros.protocol.driver.convoy import Convoy, Rider
 from hitchhike_ros.protocol.driver.facts import DriverFacts
@@ -133,7 +133,7 @@ MUTATIONS: dict[str, Patch] = {
     "give a place twice": _before(DriverMachine, "_confirm_lock", _join_again),
     "more riders than places": _never_free,
     "take the map without its boxes": _before(HitchhikerMachine, "_restart_from", _without_obstacles),
-    "forget the goal after a ride": _before(Traveller, "_go_on", lambda *_: []),
+    "forget the goal after a ride": _before(Agent, "_go_on", lambda *_: []),
     "say everything at every tick": _say_everything,
     "hurry with a rider": _fast_with_riders,
 }

@@ -114,7 +114,7 @@ def test_a_rider_stays_behind_its_driver_on_the_trail() -> None:
     def watch(_now: float, name: str, event: object, _effects: object) -> None:
         rider, driver = w.robots["rider"], w.robots["driver"]
         if name == "rider" and isinstance(event, Tick) and rider.status.state == "riding":
-            gaps.append(rider.traveller.hitchhiker.gap_m() or math.nan)
+            gaps.append(rider.agent.hitchhiker.gap_m() or math.nan)
             trail = min(
                 math.dist((rider.body.x, rider.body.y), driver.body.point(s))
                 for s in driver.body.odometer_m - np.arange(0.0, 2.5, 0.02)
@@ -152,9 +152,9 @@ def test_messages_as_text_and_as_objects_make_the_same_run() -> None:
 def test_a_robot_that_runs_is_not_restarted_nor_one_that_is_down_crashed_again() -> None:
     w = pair()
     w.run(1.0)
-    traveller = w.robots["driver"].traveller
+    agent = w.robots["driver"].agent
     w.restart("driver")
-    assert w.robots["driver"].traveller is traveller
+    assert w.robots["driver"].agent is agent
     told: list[object] = []
     w.observers.append(lambda _now, name, event, _effects: told.append(event) if name == "driver" else None)
     w.crash("driver")
