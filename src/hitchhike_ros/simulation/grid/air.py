@@ -22,7 +22,7 @@ class Air:
     """Brings messages from one robot to the others, and calls back when they are heard.
 
     ``hear`` takes a robot and a message that has come to it, ``hear_beacon`` a beacon and all robots to which it comes
-    at the same moment. ``messages`` counts what was sent, ``deliveries`` what arrived.
+    at the same moment, those that are silent included. ``messages`` counts what was sent, ``deliveries`` what arrived.
     """
 
     def __init__(
@@ -127,9 +127,7 @@ class Air:
     def _arrive_beacon(self, beacon: Beacon, robots: Sequence[GridRobot]) -> None:
         """As an object; most messages are beacons, so this is kept short."""
         self.deliveries += len(robots)
-        if self._plain:
-            heard = [robot for robot in robots if robot.alive]
-        else:
+        if not self._plain:
             sender, order = beacon.robot_id, (beacon.time_stamp, beacon.seq)
-            heard = [robot for robot in robots if robot.alive and robot.inbox.is_new(sender, order)]  # type: ignore[union-attr]
-        self._hear_beacon(beacon, heard)
+            robots = [robot for robot in robots if robot.alive and robot.inbox.is_new(sender, order)]  # type: ignore[union-attr]
+        self._hear_beacon(beacon, robots)

@@ -253,6 +253,8 @@ class GridWorld:
         now, wanted = self._schedule.now, self._trace.wanted
         heard = (beacon, now)
         for robot in robots:
+            if not robot.alive:
+                continue
             offset = robot.clock_offset_s
             robot.agent.neighbours.put_away(beacon, (beacon, now + offset) if offset else heard)
             if wanted:
