@@ -129,7 +129,7 @@ class PathPlanning:
             else:
                 self._refuse(PoseEstimate)
         elif isinstance(x, NavigationReport):
-            self._navigation, self._news = x, True
+            self._navigation = x
         elif isinstance(x, Refused):
             self._refuse(x.what)
 

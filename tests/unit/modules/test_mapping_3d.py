@@ -21,6 +21,7 @@ from hitchhike_ros.protocol.events import GoalCancelled
 from hitchhike_ros.protocol.map_transfer import TransferParameters, map_id_of
 from hitchhike_ros.protocol.messages import Ack, MapAck, MapOffer, MapRequest, decode, encode
 from hitchhike_ros.protocol.status import RideStatus, Status
+from plain_files import plain_files
 
 DRIVER, RIDER, THIRD = "p3dx", "turtlebot", "third"
 RIDE = RideStatus("ride-1", DRIVER, RIDER)
@@ -459,6 +460,25 @@ def test_a_transfer_goes_on_after_the_clock_was_set_back() -> None:
     assert module.next_due(5.0) <= 5.0
     assert len(messages(hear(module, 5.0))) == 1
     assert module.next_due(5.0) == 6.0
+
+
+def test_it_is_made_of_a_robots_files() -> None:
+    driver = Mapping3D.build(
+        plain_files("p3dx", mapping_3d={"period_s": 0.5}, octree={"resolution_m": 0.1, "stride": 1})
+    )
+    hear(driver, 10.0, DRIVES)
+    hear(driver, 10.0, INFO)
+    voxels = seen(hear(driver, 10.1, pose(10.1), image(10.1)))
+    assert voxels.resolution_m == 0.1
+    assert 1.0 < voxels.centres[0, 0] < 1.5  # the camera is on top and in front
+    assert seen(hear(driver, 10.7, pose(10.7), image(10.7, 2.0))).sides.size == 2
+    rider = Mapping3D.build(plain_files("turtlebot", map_transfer={"retry_s": 0.25}))
+    hear(rider, 10.0, replace(DRIVES, robot_id="turtlebot"))
+    assert rider.listens() == frozenset()
+    hear(rider, 11.0, RIDES)
+    (asked,) = messages(hear(rider, 12.0, HAS_LEFT))
+    assert (asked.robot_id, asked.seq) == ("turtlebot", 71)
+    assert rider.next_due(12.0) == 12.25
 
 
 # Pace.

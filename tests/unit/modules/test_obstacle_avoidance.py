@@ -29,6 +29,7 @@ from hitchhike_ros.modules.obstacle_avoidance import (
 )
 from hitchhike_ros.protocol.events import GoalCancelled, NavigationReport
 from hitchhike_ros.protocol.status import GoalCommand, KnownRobot, ModuleSwitches, Status
+from plain_files import plain_files
 
 PARAMS = ObstacleAvoidanceParameters()
 MAX_AGE_S, WAIT_S = PARAMS.max_age_s, PARAMS.pose_wait_s
@@ -179,6 +180,12 @@ def test_what_was_seen_before_it_was_off_says_nothing_about_now(its: ObstacleAvo
     hear(its, 10.3, ON)
     hear(its, 10.31, odometry(10.31), scan(10.31))
     assert hear(its, 10.31 + WAIT_S).report == NavigationReport("1", "blocked", "no pose")
+
+
+def test_what_was_silent_while_it_was_off_is_not_silent_now(its: ObstacleAvoidance) -> None:
+    outputs = hear(its, 15.0, OFF, ON)  # together: it has been off for less than a step
+    assert silent(outputs)
+    assert its.next_due(15.0) == 15.0 + MAX_AGE_S
 
 
 def test_a_status_that_changes_nothing_forgets_nothing(its: ObstacleAvoidance, planner: Recorder) -> None:
@@ -620,6 +627,20 @@ def test_a_senseless_word_is_counted_and_ends_the_one_before(
 
 def test_a_message_that_does_not_tell_who_has_it_in_hand_is_counted(its: ObstacleAvoidance) -> None:
     assert hear(its, 10.05, Refused(TeleopActive, "?")).health.counters == {"bad_teleop": 1}
+
+
+def test_it_is_made_of_a_robots_files() -> None:
+    changes = {"obstacle_avoidance": {"pose_wait_s": 0.2}, "teleop_authority": {"command_timeout_s": 0.05}}
+    module = ObstacleAvoidance.build(plain_files("turtlebot", **changes))
+    hear(module, 9.9, ON, PLAN)
+    assert frame(module, 10.0).report == NavigationReport("1", "driving")
+    hear(module, 10.1, scan(10.1))
+    assert module.next_due(10.1) == pytest.approx(10.3)
+    driven = hear(module, 10.12, pose(10.1)).command.twist.v
+    stopped = frame(module, 10.2, TeleopCommand(Twist2D())).command.twist.v
+    again = frame(module, 10.3).command.twist.v  # the word is too old by now
+    assert stopped < driven
+    assert stopped < again
 
 
 # Pace.

@@ -20,6 +20,7 @@ from hitchhike_ros.modules.path_planning import PathPlanning, PathPlanningOutput
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.events import GoalCancelled, NavigationReport
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, Status
+from plain_files import plain_files
 
 LIMITS = RobotLimits(0.3, 0.1, 0.2, 0.2, 0.2, 1.0, 2.0)
 GRID = OccupancyGrid(np.zeros((40, 60)), 0.1)
@@ -326,6 +327,17 @@ def test_make_plan_is_refused_for_want_of_what_it_takes(there: list[object], rea
     hear(its, 10.0, *there)
     with pytest.raises(StaleInputError, match=f"^{reason}$"):
         its.make_plan(None, GOAL.pose, 0.0, 10.0)
+
+
+def test_it_is_made_of_a_robots_files() -> None:
+    its = PathPlanning.build(plain_files("p3dx", path_planning={"retry_s": 0.5}))
+    hear(its, 0.0, WALL, pose(1.0), ON)
+    assert its.next_due(0.0) == 0.5
+    posts = (Obstacle(f"post at {y:.1f}", 3.0, y, 0.1, 0.1) for y in np.arange(0.0, 4.0, 0.4))
+    gaps = GRID.with_obstacles(posts)  # the robot is wider than those
+    assert start(hear(its, 0.1, GRID)) == [1.0, 2.0]
+    assert hear(its, 0.2, gaps).report.state == "failed"
+    assert PathPlanning.build(plain_files("p3dx"), always_on=True).on
 
 
 statuses = st.sampled_from([ON, OFF, replace(ON, goal=None), replace(ON, goal=replace(GOAL, id="2"))])
