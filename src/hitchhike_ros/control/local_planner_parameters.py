@@ -7,7 +7,7 @@ from typing import Annotated
 
 import msgspec
 
-from hitchhike_ros.core.datatypes import NonNegative, Positive, UnitInterval
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive, UnitInterval
 
 Samples = Annotated[int, msgspec.Meta(ge=2)]
 
@@ -64,3 +64,8 @@ class LocalPlannerParameters:
     rider_acceleration_mps2: Positive = 0.3
     rider_yaw_acceleration_rps2: Positive = 0.8
     rider_curvature_per_m: Positive = 1.2
+    rider_turn_rps: NonNegative = 0.1  # and this much on the spot
+
+    def in_view_rps(self, v: FloatArray) -> FloatArray:
+        """The fastest turn, rad/s, that keeps the marker in a rider's view at forward speeds ``v`` in m/s."""
+        return self.rider_curvature_per_m * v + self.rider_turn_rps

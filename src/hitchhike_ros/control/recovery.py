@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
+
 Action = Literal["wait", "clear", "turn", "withdraw", "replan"]
 
 
@@ -16,6 +18,17 @@ class RecoveryStep:
     action: Action
     duration_s: float
     says: str
+
+
+def recovery_steps(params: LocalPlannerParameters) -> tuple[RecoveryStep, ...]:
+    """The table: a person who stands in the way has often gone while the robot waits, so that comes first."""
+    return (
+        RecoveryStep("wait", params.recovery_wait_s, "waiting"),
+        RecoveryStep("clear", params.recovery_clear_s, "forgetting obstacles out of view"),
+        RecoveryStep("turn", params.recovery_turn_s, "turning to look"),
+        RecoveryStep("replan", params.recovery_replan_s, "waiting for another plan"),
+        RecoveryStep("withdraw", params.recovery_withdraw_s, "making room"),
+    )
 
 
 class Recovery:

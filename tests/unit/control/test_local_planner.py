@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from flat_world import BOXES, CORRIDOR, LASER, P3DX, TURTLEBOT, FlatWorld, Rectangle, overlaps
 from hitchhike_ros.control.clearance import ClearanceField, Footprint
 from hitchhike_ros.control.dynamic_window import brake, roll_out
-from hitchhike_ros.control.local_planner import Decision, LocalPlanner
+from hitchhike_ros.control.leg import Decision
+from hitchhike_ros.control.local_planner import LocalPlanner
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.recovery import Recovery, RecoveryStep

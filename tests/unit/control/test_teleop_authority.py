@@ -10,7 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from flat_world import CORRIDOR, LASER, P3DX, TURTLEBOT, FlatWorld
-from hitchhike_ros.control.local_planner import Decision, LocalPlanner
+from hitchhike_ros.control.leg import Decision
+from hitchhike_ros.control.local_planner import LocalPlanner
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.teleop_authority import TeleopAuthority, TeleopAuthorityParameters
 from hitchhike_ros.core.datatypes import Pose2D, Twist2D
