@@ -1,17 +1,16 @@
-"""What every node shares: a clean end on bad input, switches, diagnostics and the answers of lock-step."""
+"""What every node shares: a clean end on bad input, timers, diagnostics and the answers of lock-step."""
 
 from __future__ import annotations
 
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
 from hitchhike_ros.core.errors import HitchhikeError, MessageError
@@ -106,41 +105,6 @@ class Diagnostics:
         for key, value in list(self._values.items()):
             status.add(key, str(value))
         return status
-
-
-class Switch:
-    """Subscribes sensors while a module is on and drops them while it is off, so that off costs nothing."""
-
-    def __init__(self, topics: Iterable[tuple[str, Any, Callable[[Any], None]]], queue_size: int = 1) -> None:
-        self._topics, self._queue_size = list(topics), queue_size
-        self._subscribers: list[rospy.Subscriber] = []
-
-    @property
-    def on(self) -> bool:
-        return bool(self._subscribers)
-
-    def set(self, on: bool) -> bool:
-        """Switch; whether that changed anything."""
-        if on == self.on:
-            return False
-        if on:
-            self._subscribers = [
-                rospy.Subscriber(
-                    topic, cls, callback, queue_size=self._queue_size, buff_size=_buffer_of(cls), tcp_nodelay=True
-                )
-                for topic, cls, callback in self._topics
-            ]
-        else:
-            for subscriber in self._subscribers:
-                subscriber.unregister()
-            self._subscribers = []
-        return True
-
-
-def _buffer_of(cls: type) -> int:
-    """Bytes that rospy takes from a socket at once. With less than an image, images wait there and grow old; with more
-    than needed, all of it is allocated for each message."""
-    return 1 << 22 if cls is Image else 1 << 16
 
 
 class StatusListener:
