@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from hitchhike_ros.core.datatypes import MarkerObservation, Pose2D
 from hitchhike_ros.core.geometry import compose, wrap_angle
@@ -91,3 +92,115 @@ def test_the_seam_of_the_circle_is_no_error() -> None:
     seen = MarkerObservation(1.0, 0, Pose2D(1.0, 0.0, -math.pi + 0.01), np.eye(3) * 1e-3)
     better = with_heading(seen, marker_heading=math.pi, heading=0.0, variance=1e-3)
     assert abs(wrap_angle(better.pose.theta - math.pi)) == pytest.approx(0.005, abs=1e-6)
+
+
+def filled(seen: np.ndarray, told: np.ndarray) -> DriverTrack:
+    """A track of places (N, 2) as seen and as told."""
+    known = DriverTrack()
+    for s, t in zip(seen, told, strict=True):
+        known.add(Pose2D(*s.tolist()), Pose2D(*t.tolist()))
+    return known
+
+
+def straight(*along: float) -> np.ndarray:
+    return np.column_stack([along, np.zeros(len(along))])
+
+
+def elsewhere(seen: np.ndarray) -> np.ndarray:
+    """The same places in a map whose origin is far away."""
+    return seen + [30.0, 40.0]
+
+
+def variance_of(seen: np.ndarray, place: float = 0.01**2) -> float:
+    """Of the turn, where each place has that variance: by the spread of the places, and by the drift."""
+    return place / float(np.sum((seen - seen.mean(axis=0)) ** 2)) + 0.015**2
+
+
+def test_the_turn_is_that_of_least_squares_and_its_variance_follows_the_residuals() -> None:
+    rng = np.random.default_rng(3)
+    seen = np.column_stack([np.arange(0.0, 3.9, 0.3), 0.5 * np.sin(np.arange(0.0, 3.9, 0.3))])
+    T = rotation(0.4)
+    told = seen @ T.T + [2.0, -1.0] + rng.normal(0.0, 0.03, seen.shape)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        return (seen @ rotation(x[0]).T + x[1:] - told).ravel()
+
+    fit = least_squares(residuals, [0.3, 0.0, 0.0], xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    result = filled(seen, told).turn()
+    assert result is not None
+    assert result[0] == pytest.approx(fit.x[0], abs=1e-6)
+    place = float(np.sum(fit.fun**2)) / (2 * len(seen) - 3)
+    assert place > 0.01**2
+    assert result[1] == pytest.approx(variance_of(seen, place), rel=1e-6)
+
+
+def rotation(angle: float) -> np.ndarray:
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
+def test_exact_places_are_known_to_a_centimetre() -> None:
+    seen = straight(*np.arange(0.0, 2.1, 0.25))
+    result = filled(seen, seen).turn()
+    assert result is not None
+    assert result[1] == pytest.approx(variance_of(seen))
+
+
+def test_only_the_last_four_metres_count() -> None:
+    seen = straight(*np.arange(0.0, 10.1, 0.25))
+    told = seen.copy()
+    told[seen[:, 0] < 5.99, 1] = 3.0
+    result = filled(seen, told).turn()
+    assert result is not None
+    assert result == pytest.approx((0.0, variance_of(seen[seen[:, 0] > 5.99])))
+
+
+@pytest.mark.parametrize(
+    ("along", "known"),
+    [
+        ((0.0, 0.25, 0.5, 0.75, 1.0), True),
+        ((0.0, 0.25, 0.5, 0.75, 0.99), False),
+        ((0.0, 0.4, 0.8, 1.2), False),
+        ((0.0, 0.4, 0.8, 1.2, 1.6), True),
+    ],
+)
+def test_it_takes_five_places_over_a_metre(along: tuple[float, ...], known: bool) -> None:
+    assert (filled(straight(*along), elsewhere(straight(*along))).turn() is not None) == known
+
+
+def test_places_within_five_centimetres_of_the_last_count_once() -> None:
+    along = np.arange(0.0, 2.1, 0.25)
+    near = straight(*np.sort(np.concatenate([along, along + 0.04])))
+    far = straight(*np.sort(np.concatenate([along, along + 0.06])))
+    for seen, counted in ((near, straight(*along)), (far, far)):
+        result = filled(seen, elsewhere(seen)).turn()
+        assert result is not None
+        assert result[1] == pytest.approx(variance_of(counted))
+
+
+def test_an_error_of_the_heading_moves_the_robot_about_the_middle_of_the_track() -> None:
+    seen = np.column_stack([np.arange(0.0, 3.1, 0.25), 0.2 * np.arange(0.0, 3.1, 0.25)])
+    told = seen @ rotation(0.7).T + [3.0, -2.0]
+    known, own = filled(seen, told), Pose2D(5.0, 1.5, -1.2)
+    located, turn = known.locate(9.0, own), known.turn()
+    assert located is not None and turn is not None
+
+    def pose(heading: float) -> np.ndarray:
+        way = rotation(heading) @ (np.array([own.x, own.y]) - seen.mean(axis=0))
+        return np.array([*(told.mean(axis=0) + way), own.theta + heading])
+
+    lever = (pose(turn[0] + 1e-6) - pose(turn[0] - 1e-6)) / 2e-6
+    expected = turn[1] * np.outer(lever, lever) + np.diag([0.1**2, 0.1**2, 1e-6])
+    np.testing.assert_allclose(located.covariance, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_a_heading_is_joined_as_a_measurement_of_the_yaw() -> None:
+    """The same as a Kalman update of all three with the yaw measured."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(0.0, 0.1, (3, 3))
+    P, H, variance = root @ root.T, np.array([[0.0, 0.0, 1.0]]), 0.004
+    seen = MarkerObservation(1.0, 0, Pose2D(1.0, 0.2, 2.9), P)
+    better = with_heading(seen, marker_heading=3.3, heading=0.5, variance=variance)
+    K = P @ H.T / (H @ P @ H.T + variance)
+    expected = np.array([1.0, 0.2, 2.9]) + K[:, 0] * (3.3 - 0.5 - 2.9)
+    assert (better.pose.x, better.pose.y, better.pose.theta) == pytest.approx(tuple(expected))
+    np.testing.assert_allclose(better.covariance, (np.eye(3) - K @ H) @ P, atol=1e-12)
