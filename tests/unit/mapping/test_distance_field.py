@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.geometry import transform_points
@@ -90,3 +91,90 @@ def test_distances_seen_from_many_poses_are_those_of_the_points():
         expected, _, valid = field.lookup(transform_points(Pose2D(*pose), points))
         np.testing.assert_allclose(row[valid], expected[valid], atol=1e-9)
     assert 0.5 < np.isfinite(distances).mean() < 1.0
+
+
+def nearest(mask: np.ndarray) -> np.ndarray:
+    """Squared distance (H, W, N), in cells, from each cell to each cell of ``mask``, the slow way."""
+    cells = np.argwhere(mask)
+    row, column = (i[..., None] for i in np.indices(mask.shape))
+    return (row - cells[:, 0]) ** 2 + (column - cells[:, 1]) ** 2
+
+
+def slow_field(data: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Signed distance in half cells at half cells' centres, whether its face is a wall's, and whether that is sure.
+
+    Of two edges that are as near, one may be that of a wall and the other not.
+    """
+    occupied, unknown, free = data == 100, data == -1, data == 0
+    behind = unknown & (nearest(occupied).min(axis=2) < nearest(free).min(axis=2))
+    solid, walls = ((m.repeat(2, axis=0).repeat(2, axis=1)) for m in (occupied | behind, occupied))
+    beside = np.zeros_like(walls)
+    for r, c in np.argwhere(walls):
+        beside[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2] = True
+    signed, wall, sure = np.zeros(solid.shape), np.zeros(solid.shape, bool), np.zeros(solid.shape, bool)
+    for own, other, sign in ((~solid, walls, 1.0), (solid, beside, -1.0)):
+        squared = nearest(~own)
+        least = squared.min(axis=2)
+        signed[own] = sign * (np.sqrt(least) - 0.5)[own]
+        told = np.where(squared == least[..., None], other[~own], np.nan)
+        wall[own] = (np.nanmax(told, axis=2) == 1.0)[own]
+        sure[own] = (np.nanmax(told, axis=2) == np.nanmin(told, axis=2))[own]
+    return signed, wall, sure
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_field_is_that_of_the_nearest_face_on_any_map(seed):
+    rng = np.random.default_rng(seed)
+    data = rng.choice([0, 0, 0, 0, 0, 100, -1], (9, 13)).astype(np.int8)
+    data[4, 6], data[5, 6] = 100, 0
+    signed, wall, sure = slow_field(data)
+    field = DistanceField(OccupancyGrid(data, 0.2, Pose2D(-1.0, 2.0)))
+    rows, columns = signed.shape
+    # Also beside the map: there is no field from the middle of the outermost half cells on.
+    xy = rng.uniform([-1.5, -1.5], [columns + 1.5, rows + 1.5], (400, 2))
+    distance, _, valid = field.lookup(xy * 0.1 + [-1.0, 2.0])
+    alone = field.distances(np.array([[-1.0, 2.0, 0.0]]), xy * 0.1)[0]
+    for (x, y), d, is_valid, only in zip(xy - 0.5, distance, valid, alone, strict=True):
+        c, r = int(np.floor(x)), int(np.floor(y))
+        if not (0 <= c < columns - 1 and 0 <= r < rows - 1):
+            assert not is_valid
+            assert only == np.inf
+            continue
+        four = (slice(r, r + 2), slice(c, c + 2))
+        if sure[four].all():
+            assert is_valid == wall[four].all()
+        if sure[r, c]:
+            assert (only < np.inf) == wall[r, c]
+        u, v = x - c, y - r
+        (d00, d10), (d01, d11) = signed[four]
+        expected = 0.1 * ((1 - v) * ((1 - u) * d00 + u * d10) + v * ((1 - u) * d01 + u * d11))
+        if is_valid:
+            assert d == pytest.approx(expected, abs=1e-9)
+        if only < np.inf:
+            assert only == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_faces_are_as_uncertain_as_the_field_is_off_where_they_end(seed):
+    rng = np.random.default_rng(seed)
+    data = rng.choice([0, 0, 0, 100], (9, 13)).astype(np.int8)
+    data[4, 6], data[5, 6] = 100, 0
+    signed = slow_field(data)[0] * 0.1
+    rows, columns = signed.shape
+    square, face = np.zeros((rows + 2, columns + 2)), np.zeros((rows + 2, columns + 2))
+    for r in range(rows - 1):
+        for c in range(columns - 1):
+            four = signed[r : r + 2, c : c + 2]
+            if four.min() < 0.0 < four.max():
+                square[r + 1, c + 1], face[r + 1, c + 1] = four.mean() ** 2 / 3.0, 1.0
+    field = DistanceField(OccupancyGrid(data, 0.2, Pose2D(-1.0, 2.0)))
+    for r in range(rows):
+        for c in range(columns):
+            around = (slice(r, r + 3), slice(c, c + 3))
+            expected = square[around].sum() / max(face[around].sum(), 1.0) if r < rows - 1 and c < columns - 1 else 0.0
+            at = np.array([[c + 0.7, r + 0.6]]) * 0.1 + [-1.0, 2.0]
+            assert field.face_variance(at)[0] == pytest.approx(expected, abs=1e-12), (r, c)
+    # What lies beside the map is as uncertain as its rim.
+    inside = np.array([[0.7, 5.6], [5.7, 0.6]]) * 0.1 + [-1.0, 2.0]
+    np.testing.assert_array_equal(field.face_variance(inside - [[0.5, 0.0], [0.0, 0.5]]), field.face_variance(inside))
+    np.testing.assert_array_equal(field.face_variance(np.array([[9.0, 2.5], [0.0, 9.0]])), 0.0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.core.datatypes import Obstacle, Pose2D
 from hitchhike_ros.core.geometry import transform_points
-from hitchhike_ros.mapping.grid import OCCUPIED, OccupancyGrid, distance_to
+from hitchhike_ros.mapping.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, distance_to
 
 
 def empty(height: int = 20, width: int = 30, resolution: float = 0.1, origin: Pose2D | None = None) -> OccupancyGrid:
@@ -123,3 +123,24 @@ def test_distance_is_the_same_every_time():
     first = distance_to(mask, 0.1)
     for _ in range(8):
         np.testing.assert_array_equal(distance_to(mask.copy(), 0.1), first)
+
+
+def test_values_are_those_of_ros():
+    """nav_msgs/OccupancyGrid: probabilities in percent, and -1."""
+    assert (FREE, OCCUPIED, UNKNOWN) == (0, 100, -1)
+
+
+@given(st.floats(0, 6.3), st.floats(-3.5, 3.5), st.floats(-3.5, 3.5), st.floats(0.0, 1.5), st.floats(0.0, 1.5))
+def test_a_box_marks_the_cells_whose_bounding_squares_it_overlaps(theta, x, y, w, b):
+    """Each cell of the whole grid is asked, also where the box lies partly or wholly beside it."""
+    corner = transform_points(Pose2D(0, 0, theta), np.array([[-2.0, -3.0]]))[0]
+    grid = empty(height=60, width=40, origin=Pose2D(*corner, theta))
+    marked = grid.with_obstacles([Obstacle("box", x, y, w, b)]).occupied
+    # Half the side of the square along the axes of the map that holds a turned cell.
+    half = 0.05 * (abs(math.cos(theta)) + abs(math.sin(theta)))
+    centres = grid.cell_to_world(np.argwhere(~marked | marked))
+    apart = np.abs(centres - [x + w / 2, y + b / 2]) - [w / 2 + half, b / 2 + half]
+    # A thousandth of a cell is no overlap, and a box is no smaller than four.
+    surely, surely_not = (apart < -3e-4).all(axis=1), (apart > 3e-4).any(axis=1)
+    assert marked.ravel()[surely].all()
+    assert not marked.ravel()[surely_not].any()
