@@ -126,8 +126,8 @@ def _gist(tree: ast.AST) -> str:
 class _Gist(ast.NodeTransformer):
     """Takes away what no run depends on, or what mypy checks in place of a test.
 
-    Docstrings, annotations, texts for people (f-strings, ``__repr__``, ``__str__``), ``frozen``, ``slots`` and
-    ``kw_only`` of a dataclass, ``strict`` of a ``zip``, abstract methods, what is imported for type checkers alone.
+    Docstrings, annotations, texts for people (f-strings, ``__repr__``, ``__str__``), ``frozen``, ``slots``, ``kw_only``
+    and ``eq`` of a dataclass, ``strict`` of a ``zip``, abstract methods, what is imported for type checkers alone.
     """
 
     def visit_Module(self, node: ast.Module) -> ast.AST:
@@ -162,7 +162,9 @@ class _Gist(ast.NodeTransformer):
         return ast.Constant("text")
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
-        left_out = {"dataclass": ("frozen", "slots", "kw_only"), "zip": ("strict",)}.get(ast.unparse(node.func), ())
+        left_out = {"dataclass": ("frozen", "slots", "kw_only", "eq"), "zip": ("strict",)}.get(
+            ast.unparse(node.func), ()
+        )
         node.keywords = [keyword for keyword in node.keywords if keyword.arg not in left_out]
         return self.generic_visit(node)
 
