@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D
 from hitchhike_ros.core.geometry import transform_points
@@ -16,7 +17,7 @@ from hitchhike_ros.localization.landmarks import (
     scan_corners,
 )
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.laser import LaserNoise, end_points
+from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, end_points
 from laser_world import LASER, boxes_of, take_scan
 
 PARAMETERS, NOISE = CornerParameters(), LaserNoise()
@@ -100,3 +101,165 @@ def test_a_straight_wall_has_no_corners():
 def test_no_points_no_corners():
     empty = end_points(take_scan(Pose2D(), np.zeros((0, 4))), LASER)
     assert scan_corners(empty, ORIGIN, NOISE, PARAMETERS) == []
+
+
+def slow_corners(data: np.ndarray, steps: int) -> set[tuple[float, int, int]]:
+    """Signature, row and column of the corners of a grid by their definition, cell by cell; off the grid is unknown."""
+
+    def value(row: int, column: int) -> int:
+        inside = 0 <= row < data.shape[0] and 0 <= column < data.shape[1]
+        return int(data[row, column]) if inside else -1
+
+    found = set()
+    for row in range(data.shape[0] + 1):
+        for column in range(data.shape[1] + 1):
+            for dr, dc in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+                # The cell at the point on that side, and those behind its two edges.
+                r, c = row - (dr < 0), column - (dc < 0)
+                down = [(value(r + k * dr, c), value(r + k * dr, c - dc)) for k in range(steps)]
+                along = [(value(r, c + k * dc), value(r - dr, c + k * dc)) for k in range(steps)]
+                opposite = value(r - dr, c - dc)
+                if opposite == 0 and all(own == 100 and beside == 0 for own, beside in down + along):
+                    found.add((CONVEX, row, column))
+                if opposite != 0 and all(own == 0 and beside == 100 for own, beside in down + along):
+                    found.add((CONCAVE, row, column))
+    return found
+
+
+@pytest.mark.parametrize(("resolution", "steps"), [(0.05, 3), (0.04, 3), (0.02, 6), (0.03, 4)])
+def test_corners_of_any_map_are_those_of_the_definition(resolution, steps):
+    rng, all_found = np.random.default_rng(0), 0
+    for _ in range(20):
+        data = np.zeros((24, 30), dtype=np.int8)
+        for _ in range(5):
+            r, c, h, w = rng.integers([0, 0, 3, 3], [22, 28, 12, 12])
+            data[r : r + h, c : c + w] = rng.choice([100, 100, 100, 0, -1])
+        corners = map_corners(OccupancyGrid(data, resolution), PARAMETERS)
+        cells = np.rint(corners.positions / resolution).astype(int)
+        found = {(float(s), int(y), int(x)) for s, (x, y) in zip(corners.signatures, cells, strict=True)}
+        assert found == slow_corners(data, steps)
+        np.testing.assert_allclose(corners.positions, cells * resolution, atol=1e-9)
+        all_found += len(found)
+    assert all_found > 40
+
+
+def ends_at(points: np.ndarray, beams: np.ndarray | None = None) -> EndPoints:
+    return EndPoints(points, np.hypot(*points.T), np.arange(len(points)) if beams is None else beams)
+
+
+def side(start: tuple[float, float], angle: float, *along: float) -> np.ndarray:
+    """Points on a straight line from a start."""
+    return np.array(start) + np.outer(along, [math.cos(angle), math.sin(angle)])
+
+
+def bent(angle: float, before: np.ndarray | None = None, after: np.ndarray | None = None) -> EndPoints:
+    """Two walls that meet at (1.5, 0.5) with a turn by an angle; their points by the distance from there."""
+    one = np.arange(0.5, 0.0, -0.03) if before is None else before
+    two = np.arange(0.03, 0.5, 0.03) if after is None else after
+    return ends_at(
+        np.vstack([side((1.5, 0.5), math.pi, *one), [[1.5, 0.5]], side((1.5, 0.5), angle, *two)]),
+    )
+
+
+def test_pieces_are_the_least_squares_lines_of_their_points():
+    ends = bent(1.3)
+    rng = np.random.default_rng(0)
+    noisy = ends_at(ends.points + rng.normal(0.0, 0.004, ends.points.shape))
+    [chain] = extract_lines(noisy, NOISE, PARAMETERS)
+    assert [(line.first, line.last) for line in chain] == [(0, 17), (17, len(ends.points) - 1)]
+    for line in chain:
+        inner = noisy.points[line.first + 1 : line.last]  # the ends belong to two pieces
+        _, _, vectors = np.linalg.svd(inner - inner.mean(axis=0))
+        np.testing.assert_allclose(line.centre, inner.mean(axis=0))
+        assert abs(line.direction @ vectors[0]) == pytest.approx(1.0, abs=1e-9)
+        assert np.hypot(*line.direction) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("gap", "x", "missing", "chains"),
+    [
+        (0.115, 0.5, 0, 1),
+        (0.125, 0.5, 0, 2),
+        (0.155, 4.0, 0, 1),
+        (0.19, 4.0, 0, 2),
+        (0.05, 0.5, 1, 1),
+        (0.05, 0.5, 2, 2),
+    ],
+)
+def test_a_chain_ends_at_a_gap(gap, x, missing, chains):
+    """Of the way between neighbours, by what noise may make of it, or of beams that hit nothing."""
+    along = np.concatenate([np.arange(8) * 0.01, 0.07 + gap + np.arange(8) * 0.01])
+    beams = np.concatenate([np.arange(8), np.arange(8) + 8 + missing])
+    points = np.column_stack([np.full(16, x), along])
+    found = extract_lines(EndPoints(points, np.full(16, x), beams), NOISE, PARAMETERS)
+    assert [[(line.first, line.last) for line in chain] for chain in found] == (
+        [[(0, 15)]] if chains == 1 else [[(0, 7)], [(8, 15)]]
+    )
+
+
+@pytest.mark.parametrize(("count", "chains"), [(5, 0), (6, 1)])
+def test_a_chain_has_six_points(count, chains):
+    ends = ends_at(side((1.0, 0.0), 1.0, *np.arange(count) * 0.05))
+    assert len(extract_lines(ends, NOISE, PARAMETERS)) == chains
+    apart = np.vstack([ends.points, side((3.0, 3.0), 1.0, *np.arange(count) * 0.05)])
+    assert len(extract_lines(ends_at(apart), NOISE, PARAMETERS)) == 2 * chains
+
+
+@pytest.mark.parametrize(("off", "pieces"), [(0.041, 1), (0.043, 3)])
+def test_a_wall_is_split_where_it_bends_by_more_than_four_centimetres(off, pieces):
+    """Of the line through all, which a tooth of two points among forty moves by a twentieth of its height."""
+    points = np.column_stack([np.arange(40) * 0.03, np.full(40, 0.3)])
+    points[19:21, 1] += off
+    [chain] = extract_lines(ends_at(points), NOISE, PARAMETERS)
+    assert (len(chain) == 1) == (pieces == 1)
+
+
+def test_far_away_a_bend_within_the_noise_is_none():
+    """Three and a half standard deviations of a range: 10.5 cm at 3 m, from the line through all."""
+    for off, straight in ((0.109, True), (0.112, False)):
+        points = np.column_stack([np.arange(40) * 0.03 - 0.6, np.full(40, 3.0)])
+        points[19:21, 1] += off
+        ends = EndPoints(points, np.full(40, 3.0), np.arange(40))
+        [chain] = extract_lines(ends, NOISE, PARAMETERS)
+        assert (len(chain) == 1) == straight
+
+
+@pytest.mark.parametrize("angle", [1.3, -1.3, 2.0, -2.0])
+def test_a_corner_lies_where_two_walls_meet(angle):
+    between = math.pi - angle / 2 if angle < 0 else (math.pi + angle) / 2
+    inside = np.array([math.cos(between), math.sin(between)])
+    if inside @ (side((0.0, 0.0), angle, 1.0)[0] - [1.0, 0.0]) < 0.0:
+        inside = -inside
+    for laser, signature in ((inside, CONCAVE), (-inside, CONVEX)):
+        [corner] = scan_corners(bent(angle), laser + [1.5, 0.5], NOISE, PARAMETERS)
+        r = math.hypot(1.5, 0.5)
+        assert corner.range_m == pytest.approx(r)
+        assert corner.bearing_rad == pytest.approx(math.atan2(0.5, 1.5))
+        assert corner.signature == signature
+        assert corner.range_sigma_m == pytest.approx(0.01 * math.hypot(1.0, r))
+        assert corner.bearing_sigma_rad == 0.008
+
+
+@pytest.mark.parametrize(("turn", "corners"), [(0.98, 0), (1.02, 1), (math.pi - 1.02, 1), (math.pi - 0.98, 0)])
+def test_walls_that_turn_by_less_than_a_radian_make_no_corner(turn, corners):
+    assert len(scan_corners(bent(turn), np.zeros(2), NOISE, PARAMETERS)) == corners
+
+
+@pytest.mark.parametrize(
+    ("along", "corners"),
+    [
+        (np.linspace(0.02, 0.14, 7), 1),  # eight standard deviations are 0.127 m there
+        (np.linspace(0.02, 0.11, 7), 0),
+        (np.linspace(0.08, 0.48, 6), 1),
+        (np.linspace(0.10, 0.40, 4), 0),  # with the point at the corner five
+    ],
+)
+def test_a_short_wall_has_no_direction(along, corners):
+    for ends in (bent(1.5, before=along[::-1]), bent(1.5, after=along)):
+        assert len(scan_corners(ends, np.zeros(2), NOISE, PARAMETERS)) == corners
+
+
+@pytest.mark.parametrize(("far", "corners"), [(3.9, 1), (4.1, 0)])
+def test_corners_farther_than_four_metres_are_not_used(far, corners):
+    points = bent(1.5).points + [far - 1.5, -0.5]
+    assert len(scan_corners(ends_at(points), np.zeros(2), NOISE, PARAMETERS)) == corners
