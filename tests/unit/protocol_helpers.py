@@ -23,7 +23,6 @@ from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Effect, GoalGiven, NavigationReport, Send, Situation, Tick
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
-from hitchhike_ros.protocol.loose_machine import Machine
 from hitchhike_ros.protocol.matching import Planner
 from hitchhike_ros.protocol.messages import (
     Accept,
@@ -253,7 +252,7 @@ def rider_in(
     return _arrived(bench, machine, state)
 
 
-def _arrived(bench: Bench, machine: Machine[Any], state: object) -> Bench:
+def _arrived(bench: Bench, machine: Any, state: object) -> Bench:
     assert machine.state is state, f"{machine.state} instead of {state}"
     bench.clear()
     return bench

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from hitchhike_ros.protocol.events import Tick
-from hitchhike_ros.protocol.loose_machine import Machine as LooseMachine
 from hitchhike_ros.protocol.machine import Deadline, Machine, Row, arrows
 
 _HEAD = (
@@ -18,14 +17,12 @@ Arrow = tuple[str, str, str]
 """From which state to which, and in which style."""
 
 
-def dot(machine: type[Machine[Any, Any]] | type[LooseMachine[Any]]) -> str:
+def dot(machine: type[Machine[Any, Any]]) -> str:
     """Every row that leads to a state as an arrow, with what causes it and its guards in brackets.
 
     A message or command is named as in the protocol. What the machine sees for itself from tick to tick, in italics, is
     told by the guards alone; a deadline, dashed, is named by its limit.
     """
-    if issubclass(machine, LooseMachine):
-        return _loose_dot(machine)
     labels: dict[Arrow, list[str]] = {}
     for state, row in arrows(machine.ROWS):
         style = "dashed" if isinstance(row.on, Deadline) else "italic" if row.on is Tick else ""
@@ -40,22 +37,6 @@ def label(row: Row) -> str:
         return guards
     cause = row.on.name.replace("_", " ") if isinstance(row.on, Deadline) else row.on.__name__
     return f"{cause} [{guards}]" if guards else cause
-
-
-def _loose_dot(machine: type[LooseMachine[Any]]) -> str:
-    """As :func:`dot`, of a machine that hides its guards in its actions."""
-    labels: dict[Arrow, list[str]] = {}
-    for row in machine.ROWS:
-        by_itself = row.event is Tick
-        text = row.action.strip("_").replace("_", " ") if by_itself else row.event.__name__
-        for state in row.states:
-            for target in row.targets:
-                if target is not state:
-                    labels.setdefault((state.value, target.value, "italic" if by_itself else ""), []).append(text)
-    for timeout in machine.TIMEOUTS:
-        for target in timeout.targets:
-            labels.setdefault((timeout.state.value, target.value, "dashed"), []).append(timeout.limit)
-    return _drawn(machine.__name__, "idle", labels)
 
 
 def _drawn(name: str, initial: str, labels: dict[Arrow, list[str]]) -> str:

@@ -15,7 +15,6 @@ from hitchhike_ros.protocol.driver.convoy import Rider
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Award, Effect, Report, Send
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
-from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.messages import (
     Accept,
     Ack,
@@ -202,9 +201,6 @@ class Referee:
             rider = None if driver is None or not driver.alive else driver.agent.driver.rider(robot.name)
             knows = rider is not None and rider.offer.ride_id == machine.ride_id
             self._lasts(now, not knows, self._silent_s(robot), "rider", robot.name, machine.ride_id)
-        for other in _hitchhikers(robot):
-            if other.state is HitchhikerState.IDLE and other.offers:
-                self._fail(f"{robot.name} has no goal and keeps offers of {', '.join(other.offers)}")
 
     def _check_bounds(self, now: float) -> None:
         for (name, driver, ride_id), since in list(self._offers.items()):

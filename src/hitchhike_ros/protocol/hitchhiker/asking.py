@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
@@ -9,13 +11,39 @@ from hitchhike_ros.protocol.matching import Meeting, choose
 from hitchhike_ros.protocol.messages import EVERYBODY, Accept
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import NONE, Ending
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An offer that is taken; ``meeting`` says where the robots meet, where it was arranged from afar."""
+
+    offer: Accept
+    meeting: Meeting | None = None
+
+    @property
+    def ride_m(self) -> float:
+        """How long the ride will be."""
+        return self.offer.ride_m if self.meeting is None else self.meeting.ride_m
 
 
 class Asking:
     """One request for a ride: the offers that stand, and who has answered."""
 
-    def __init__(self, params: HitchhikingParameters, now: float, window_s: float, whom: str = EVERYBODY) -> None:
-        """The request is made ``now`` of ``whom``, and offers are awaited for ``window_s``."""
+    def __init__(
+        self,
+        params: HitchhikingParameters,
+        now: float,
+        window_s: float,
+        whom: str = EVERYBODY,
+        told: Ending = NONE,
+    ) -> None:
+        """The request is made ``now`` of ``whom``, and offers are awaited for ``window_s``.
+
+        ``told`` is why the request before this one came to nothing, and then what the last denial says.
+        """
+        self.choice: Choice | None = None
+        self.told = told
         self.offers: dict[str, tuple[Accept, float]] = {}  # by driver: its newest offer, and when that came
         self._answered: set[str] = set()
         self._params, self._asked_at, self._window_s, self._whom = params, now, window_s, whom
@@ -25,8 +53,9 @@ class Asking:
         self.offers[offer.robot_id] = offer, now
         self._answered.add(offer.robot_id)
 
-    def note_denial(self, driver: str) -> None:
+    def note_denial(self, driver: str, told: Ending) -> None:
         """A driver refuses, or takes its offer back."""
+        self.told = told
         self.offers.pop(driver, None)
         self._answered.add(driver)
 
@@ -48,10 +77,10 @@ class Asking:
         expected = neighbours.known if waited < self._params.beacon_period_s else neighbours.drivers
         return bool(self._answered) and expected(now, self._params.robot_timeout_s) <= self._answered
 
-    def best(
+    def choose(
         self, here: Pose2D, goal: Pose2D, ready_in_s: float, now: float, sites: Sites, metres: SoloMetres
-    ) -> Meeting | None:
-        """The ride to take of all offers, None where driving alone is better.
+    ) -> None:
+        """Set ``choice`` to the best of all offers, None where driving alone is better.
 
         Args:
             here: where it starts from, in ``map``.
@@ -61,7 +90,8 @@ class Asking:
             sites: the hitchhiking points of the world.
             metres: the ways of driving alone.
         """
-        return choose(here, goal, ready_in_s, self.offers, now, sites, self._params, metres)
+        meeting = choose(here, goal, ready_in_s, self.offers, now, sites, self._params, metres)
+        self.choice = None if meeting is None else Choice(self.offers[meeting.driver][0], meeting)
 
     def drop_offers(self, but_of: str = "") -> list[str]:
         """Forget all offers; returns the drivers that wait for an answer to theirs, without ``but_of``."""

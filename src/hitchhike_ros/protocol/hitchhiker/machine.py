@@ -1,20 +1,10 @@
-"""The hitchhiker of P17 Algorithm 2 as a table: ask, lock, wait, couple, ride, take over the pose, go on.
-
-In a network (P18 §4) it asks all drivers, hears their answers for a while, chooses, and goes to where they meet. When
-nobody can drive it, or driving alone is better, it leaves at once.
-
-A driver that is lost from sight is sought by the camera first (``seeking``, while servoing coasts and looks around).
-What fails there goes on by itself: it localizes from what it knows of the driver (``locating``), drives up behind the
-driver, who waits (``catching_up``), couples anew (``recoupling``), and rides on. Whichever of these fails or takes too
-long ends the ride: the robot lets the driver go first (``parting``) and drives to its goal alone, as P17 §4 does at
-once.
-"""
+"""The hitchhiker: what it does, row by row of its table."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection
+from collections.abc import Iterable
 from typing import Any
 
 from scipy.spatial.distance import cdist
@@ -22,13 +12,15 @@ from scipy.spatial.distance import cdist
 from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
-from hitchhike_ros.protocol.events import Effect, GoalCancelled, GoalGiven, Situation, TakeObstacles, TakePose, Tick
-from hitchhike_ros.protocol.hitchhiker.asking import Asking
+from hitchhike_ros.protocol.events import Effect, GoalGiven, TakeObstacles, TakePose
+from hitchhike_ros.protocol.hitchhiker.asking import Asking, Choice
+from hitchhike_ros.protocol.hitchhiker.facts import BEHIND_DRIVER, HitchhikerFacts
 from hitchhike_ros.protocol.hitchhiker.meeting import Rendezvous
 from hitchhike_ros.protocol.hitchhiker.pursuit import Pursuit
 from hitchhike_ros.protocol.hitchhiker.ride import Restart, Ride
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
-from hitchhike_ros.protocol.loose_machine import Machine, Row, Timeout
+from hitchhike_ros.protocol.hitchhiker.table import ROWS
+from hitchhike_ros.protocol.machine import Machine
 from hitchhike_ros.protocol.matching import Meeting
 from hitchhike_ros.protocol.messages import (
     EVERYBODY,
@@ -49,72 +41,21 @@ from hitchhike_ros.protocol.messages import (
 )
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.protocol.reasons import LOCALIZATION_SILENT, Ending, Reason
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches, RideStatus, ServoCommand
 
 S = HitchhikerState
-BEFORE_RIDE = (S.REQUESTING, S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING)
-COUPLED = (S.RIDING, S.SEEKING, S.SETTLING)
-RETURNING = (S.LOCATING, S.CATCHING_UP, S.RECOUPLING)
+# P17 Table 3: in these phases the driver does what the modules of the hitchhiker would do.
+_LED = (Phase.COUPLED, Phase.HANDING_OVER)
+_FOLLOWING = (*S.of(Phase.COUPLING, *_LED), S.RECOUPLING)
 
 
-class HitchhikerMachine(Machine[HitchhikerState]):
-    """Rides towards a goal; back in IDLE, ``ending`` says how it ended and the robot goes on alone.
+class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
+    """Rides towards a goal. Back in IDLE, ``ending`` says how the ride ended, and the robot goes on alone."""
 
-    ``camera`` is the camera's position in base_footprint: gaps are measured from there.
-    """
-
-    ROWS = (
-        Row((S.IDLE,), GoalGiven, "_ask", (S.REQUESTING,)),
-        Row((S.REQUESTING,), Tick, "_repeat_request", (S.LOCKING, S.IDLE)),
-        Row((S.REQUESTING,), Accept, "_take_offer", (S.LOCKING,)),
-        Row((S.REQUESTING,), Deny, "_note_denial"),
-        Row((S.REQUESTING,), Request, "_note_question"),
-        Row(tuple(s for s in S if s is not S.REQUESTING), Accept, "_refuse_offer"),
-        Row((S.LOCKING,), Tick, "_repeat_lock"),
-        Row((S.LOCKING,), Ack, "_locked", (S.AWAITING_ALIGNED,)),
-        Row((S.AWAITING_ALIGNED,), Tick, "_approach", (S.REQUESTING,)),
-        Row((S.AWAITING_ALIGNED,), Ack, "_note_place"),
-        Row((S.LOCKING, S.AWAITING_ALIGNED), Aligned, "_couple", (S.COUPLING,)),
-        Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Deny, "_offer_withdrawn", (S.REQUESTING,)),
-        Row((S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING), Terminate, "_offer_withdrawn", (S.REQUESTING,)),
-        Row((S.COUPLING,), Tick, "_watch_gap", (S.RIDING,)),
-        Row((S.RIDING,), Tick, "_watch_driver", (S.SEEKING, S.RELOCALIZING)),
-        Row((S.SEEKING,), Tick, "_seek", (S.RIDING, S.RELOCALIZING)),
-        Row((S.LOCATING,), Tick, "_locate", (S.CATCHING_UP, S.RELOCALIZING)),
-        Row((S.CATCHING_UP,), Tick, "_catch_up", (S.RECOUPLING, S.PARTING)),
-        Row((S.RECOUPLING,), Tick, "_recouple", (S.RIDING, S.PARTING)),
-        Row((S.RIDING, S.SEEKING, *RETURNING), Driver, "_acknowledge"),
-        Row((S.RIDING, S.SEEKING), Decouple, "_settle", (S.SETTLING,)),
-        Row((S.RIDING, S.SEEKING, S.LOCATING), Terminate, "_abandoned", (S.RELOCALIZING,)),
-        Row((S.CATCHING_UP, S.RECOUPLING), Terminate, "_left_behind", (S.PARTING,)),
-        Row(RETURNING, Decouple, "_overtaken", (S.RELOCALIZING, S.PARTING)),
-        Row((S.SETTLING,), Decouple, "_newer_pose"),
-        Row((S.SETTLING,), Tick, "_take_over", (S.RELOCALIZING,)),
-        Row((S.SETTLING,), Terminate, "_abandoned", (S.RELOCALIZING,)),
-        Row((S.RELOCALIZING,), Tick, "_watch_localization", (S.IDLE, S.PARTING)),
-        Row((S.RELOCALIZING, S.PARTING, S.IDLE), Decouple, "_answer_late"),
-        Row((S.RELOCALIZING, S.PARTING, S.IDLE), Driver, "_answer_late"),
-        Row((S.IDLE,), Aligned, "_answer_late"),
-        Row(BEFORE_RIDE, GoalCancelled, "_cancel", (S.IDLE,)),
-        Row((*COUPLED, S.LOCATING), GoalCancelled, "_cancel_ride", (S.RELOCALIZING,)),
-        Row((S.CATCHING_UP, S.RECOUPLING), GoalCancelled, "_cancel_return", (S.IDLE,)),
-        Row((S.PARTING,), GoalCancelled, "_cancel_parting", (S.IDLE,)),
-        Row((S.IDLE, S.RELOCALIZING), GoalCancelled, "_nothing_to_cancel"),
-    )
-    TIMEOUTS = (
-        Timeout(S.REQUESTING, "max_wait_s", "_driver_not_found", (S.IDLE,)),
-        Timeout(S.LOCKING, "confirm_timeout_s", "_lock_lost", (S.REQUESTING,)),
-        Timeout(S.AWAITING_ALIGNED, "max_align_s", "_not_aligned", (S.REQUESTING,)),
-        Timeout(S.COUPLING, "max_couple_s", "_not_coupled", (S.REQUESTING,)),
-        Timeout(S.SEEKING, "seek_timeout_s", "_not_found", (S.LOCATING,)),
-        Timeout(S.LOCATING, "localize_timeout_s", "_give_up_locating", (S.PARTING,)),
-        Timeout(S.CATCHING_UP, "catch_up_timeout_s", "_not_caught", (S.PARTING,)),
-        Timeout(S.RECOUPLING, "max_couple_s", "_not_recoupled", (S.PARTING,)),
-        Timeout(S.PARTING, "part_s", "_parted", (S.IDLE,)),
-        Timeout(S.SETTLING, "settle_timeout_s", "_take_over_now", (S.RELOCALIZING,)),
-        Timeout(S.RELOCALIZING, "localize_timeout_s", "_give_up_localizing", (S.IDLE,)),
-    )
+    INITIAL = S.IDLE
+    ROWS = ROWS
 
     def __init__(
         self,
@@ -126,39 +67,23 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         neighbours: Neighbours | None = None,
         metres: SoloMetres = cdist,
     ) -> None:
-        """``rear_marker`` is this robot's own. ``metres`` gives the way of driving alone, for choosing among rides."""
-        super().__init__(S.IDLE, params)
+        """A hitchhiker without a goal.
+
+        Args:
+            robot_id: this robot's name.
+            params: what it asks for and waits for.
+            sites: the hitchhiking points of the world.
+            camera: position of the camera in ``base_footprint``, m; gaps are measured from there.
+            rear_marker: this robot's own.
+            neighbours: the robots in reach; the hitchhiker adds where it has seen its driver.
+            metres: the ways of driving alone, for choosing among rides.
+        """
+        known = neighbours or Neighbours()
+        super().__init__(HitchhikerFacts(params=params, neighbours=known, window_s=params.offer_window_s))
         self.robot_id = robot_id
         self.params = params
-        self._sites, self._own_rear_marker, self._metres, self._camera = sites, rear_marker, metres, camera
-        self._neighbours = neighbours or Neighbours()
-        # Of the goal.
-        self.goal: Pose2D | None = None
-        self.rode = False  # since it was asked to bring the robot to its goal
-        self._asked_since = 0.0
-        self._whom, self._window_s = EVERYBODY, params.offer_window_s
-        self._ready_in_s = 0.0
-        # Of the newest request. Its driver may speak of it when it is over.
-        self.ride_id = ""
-        self._rides = 0
-        self._handed_over = False
-        # Of one phase or some.
-        self.offer: Accept | None = None  # the one that is taken
-        self._asking: Asking | None = None
-        self._rendezvous: Rendezvous | None = None
-        self._ride: Ride | None = None
-        self._pursuit: Pursuit | None = None
-        self._pursuit_ways = itertools.count(1)
-        self._restart: Restart | None = None
-
-    def step(self, event: object, now: float) -> list:
-        """As Machine.step; messages of other rides than the current one are ignored."""
-        if isinstance(event, Message) and not self._concerns(event):
-            self.ignored += 1
-            return []
-        if isinstance(event, Tick):
-            self._look(event.situation, now)
-        return super().step(event, now)
+        self._sites, self._camera, self._rear_marker, self._metres = sites, camera, rear_marker, metres
+        self._requests, self._pursuit_ways = itertools.count(1), itertools.count(1)
 
     def ask(
         self,
@@ -180,229 +105,218 @@ class HitchhikerMachine(Machine[HitchhikerState]):
         Returns:
             What is to be done, as :meth:`step`.
         """
-        self._whom, self._ready_in_s = whom, ready_in_s
-        self._window_s = self.params.offer_window_s if window_s is None else window_s
+        self.facts.whom, self.facts.ready_in_s = whom, ready_in_s
+        self.facts.window_s = self.params.offer_window_s if window_s is None else window_s
         return self.step(GoalGiven(goal), now)
 
     def can_start_in(self, seconds: float) -> None:
         """The ride before the one that is asked for will be over in so long."""
-        self._ready_in_s = seconds
+        self.facts.ready_in_s = seconds
+
+    # What others may know.
+
+    @property
+    def goal(self) -> Pose2D | None:
+        """Where it wants to be, None once that is taken back."""
+        return self.facts.goal
+
+    @property
+    def rode(self) -> bool:
+        """Whether it has ridden since it was given the goal."""
+        return self.facts.rode
+
+    @property
+    def ride_id(self) -> str:
+        """The name of the newest ride that it asked for."""
+        return self.facts.ride_id
 
     @property
     def modules(self) -> ModuleSwitches:
         """P17 Table 3: while coupled only communication and servoing are on."""
-        alone = self.state not in COUPLED
+        alone = self.state.phase not in _LED
         return ModuleSwitches(PP=alone, OBS=alone, LZN=alone, MAP=alone, COM=True, VS=self.servo is not None)
 
     @property
     def servo(self) -> ServoCommand | None:
         """What the camera is for: the marker ahead, to follow it or to look for it."""
-        if self._ride is None or self.state not in (S.COUPLING, S.CATCHING_UP, S.RECOUPLING, *COUPLED):
+        if self.state not in (*_FOLLOWING, S.CATCHING_UP):
             return None
-        marker = self._ride.rear_marker
+        marker = self.facts.ride.rear_marker
         if self.state is S.CATCHING_UP:
             return ServoCommand("observe", marker.marker_id, marker.marker_size_m)
-        speed_mps = self._ride.speed_mps(self._now)
+        speed_mps = self.facts.ride.speed_mps(self.facts.now)
         return ServoCommand("follow", marker.marker_id, marker.marker_size_m, self.params.gap_m, speed_mps)
 
     @property
     def way(self) -> GoalCommand | None:
         """Where it drives to by itself: to where it meets its driver and into line, or up behind one that it lost."""
-        if self.state is S.AWAITING_ALIGNED and self._rendezvous is not None:
-            return self._rendezvous.way
-        return self._pursuit.way if self.state is S.CATCHING_UP and self._pursuit is not None else None
+        if self.state is S.AWAITING_ALIGNED:
+            return self.facts.rendezvous.way
+        return self.facts.pursuit.way if self.state is S.CATCHING_UP else None
 
     @property
-    def offers(self) -> Collection[str]:
-        """The drivers that have made an offer and wait for the answer."""
-        return () if self._asking is None else self._asking.offers.keys()
+    def offer(self) -> Accept | None:
+        """The offer that it has taken."""
+        return None if self.state in (S.IDLE, S.REQUESTING) else self.facts.choice.offer
 
     @property
     def meeting(self) -> Meeting | None:
         """The ride that it has chosen in a network."""
-        return None if self._rendezvous is None else self._rendezvous.meeting
+        return None if self.state in (S.IDLE, S.REQUESTING) else self.facts.choice.meeting
 
     @property
     def ridden_m(self) -> float:
         """Metres of the present ride."""
-        return 0.0 if self._ride is None else self._ride.ridden_m
+        return self.facts.ride.ridden_m if self.state.phase in BEHIND_DRIVER else 0.0
 
     @property
     def ride(self) -> RideStatus | None:
         """The ride for the status, in whole metres, as every change of the status wakes all modules."""
         if self.offer is None:
             return None
-        ride_m = self.offer.ride_m if self.meeting is None else self.meeting.ride_m
-        return RideStatus(self.ride_id, self.offer.robot_id, self.robot_id, ride_m, math.floor(self.ridden_m))
+        ridden_m = math.floor(self.ridden_m)
+        return RideStatus(self.ride_id, self.offer.robot_id, self.robot_id, self.facts.choice.ride_m, ridden_m)
 
     def gap_m(self) -> float | None:
         """Distance from the own camera to the marker ahead, None when it is not in view."""
-        return None if self._ride is None else self._ride.gap_m(self.situation, self._now)
+        if self.state.phase not in BEHIND_DRIVER:
+            return None
+        return self.facts.ride.gap_m(self.facts.situation, self.facts.now)
 
     def ride_ends_in_s(self) -> float:
         """How long until the present ride ends, as far as can be told."""
-        if self._rendezvous is None or self.meeting is None or self.state in (S.RELOCALIZING, S.PARTING):
+        if self.meeting is None or self.state.phase is Phase.PARTING:
             return 0.0
-        if self.state not in (*COUPLED, *RETURNING):
-            return self._rendezvous.ride_ends_in_s(self._now)
-        return max(0.0, self.meeting.ride_m - self.ridden_m) / self.params.ride_speed_mps + self.params.decouple_s
+        if self.state in (*S.of(*_LED), *S.of(Phase.RETURNING)):
+            return max(0.0, self.meeting.ride_m - self.ridden_m) / self.params.ride_speed_mps + self.params.decouple_s
+        return self.facts.rendezvous.ride_ends_in_s(self.facts.now)
 
-    # Actions of the table, in its order.
+    # Asking.
 
-    def _ask(self, event: GoalGiven) -> None:
-        self.goal, self.rode, self._asked_since = event.goal, False, self._now
-        self._new_request()
-        self._go(S.REQUESTING)
-        if self.situation.estimate is not None and self._every(self.params.request_period_s, "request"):
-            self._send_request(self.situation.estimate.pose)
+    def _take_goal(self, event: GoalGiven) -> None:
+        self.facts.goal, self.facts.asked_since, self.facts.rode = event.goal, self.facts.now, False
 
-    def _repeat_request(self, _tick: Tick) -> None:
-        estimate = self.situation.estimate
-        if self._asking is None or estimate is None:
+    def _request_anew(self) -> None:
+        facts = self.facts
+        facts.ride_id = f"{self.robot_id}-{next(self._requests)}-{facts.now:.1f}"
+        facts.handed_over = False
+        facts.asking = Asking(self.params, facts.now, facts.window_s, facts.whom, self.ending)
+
+    def _repeat_request(self) -> None:
+        if not self._every(self.params.request_period_s, "request"):
             return
-        if self.params.mode == "network" and self._asking.heard_enough(self._now, self._neighbours):
-            self._decide(self._asking, estimate.pose)
-            return
-        if self._every(self.params.request_period_s, "request"):
-            self._send_request(estimate.pose)
-
-    def _send_request(self, pose: Pose2D) -> None:
-        assert self.goal is not None
+        estimate, goal = self.facts.situation.estimate, self.facts.goal
+        assert estimate is not None and goal is not None
         self._send(
             Request(
                 robot_id=self.robot_id,
-                to=self._whom,
+                to=self.facts.whom,
                 ride_id=self.ride_id,
-                x=pose.x,
-                y=pose.y,
-                theta=pose.theta,
-                goal=self.goal,
+                x=estimate.pose.x,
+                y=estimate.pose.y,
+                theta=estimate.pose.theta,
+                goal=goal,
                 profile=self.params.profile,
                 priority=self.params.priority,
-                in_s=self._ready_in_s,
-                rear_marker=self._own_rear_marker,
+                in_s=self.facts.ready_in_s,
+                rear_marker=self._rear_marker,
             )
         )
 
-    def _take_offer(self, offer: Accept) -> None:
-        """In a network (P18) all drivers are heard first; else (P17) the first one that offers a ride is taken."""
-        assert self._asking is not None
-        if self.params.mode == "local":
-            self._lock(offer, None)
-        else:
-            self._asking.note_offer(offer, self._now)
+    def _note_offer(self, offer: Accept) -> None:
+        self.facts.asking.note_offer(offer, self.facts.now)
 
     def _note_denial(self, denial: Deny) -> None:
-        assert self._asking is not None
         told = Ending.told(denial.reason)
         if told != self.ending:
             self._report(f"{denial.robot_id} denies: {told}", told.reason)
         self.ending = told
-        self._asking.note_denial(denial.robot_id)
+        self.facts.asking.note_denial(denial.robot_id, told)
 
     def _note_question(self, request: Request) -> None:
-        assert self._asking is not None
-        self._asking.note_question(request.robot_id)
+        self.facts.asking.note_question(request.robot_id)
+
+    def _choose(self) -> None:
+        facts, estimate, goal = self.facts, self.facts.situation.estimate, self.facts.goal
+        assert estimate is not None and goal is not None
+        facts.asking.choose(estimate.pose, goal, facts.ready_in_s, facts.now, self._sites, self._metres)
+
+    def _take_offer(self, offer: Accept) -> None:
+        self._choose_offer(Choice(offer))
+
+    def _take_best_offer(self) -> None:
+        assert self.facts.asking.choice is not None
+        self._choose_offer(self.facts.asking.choice)
+
+    def _add_denial(self) -> None:
+        """A driver that was asked may have said why it does not come."""
+        self.ending = self.ending.adding(str(self.facts.asking.told))
 
     def _refuse_offer(self, offer: Accept) -> None:
-        if self.offer is None or offer.robot_id != self.offer.robot_id:
-            self._send(RequestCancel(robot_id=self.robot_id, to=offer.robot_id, ride_id=self.ride_id))
+        self._send(RequestCancel(robot_id=self.robot_id, to=offer.robot_id, ride_id=self.ride_id))
 
-    def _repeat_lock(self, _tick: Tick | None = None) -> None:
+    def _cancel_offers(self) -> None:
+        """No driver waits for a hitchhiker that has chosen otherwise."""
+        self._cancel(self.facts.asking.drop_offers())
+
+    def _cancel_other_offers(self) -> None:
+        self._cancel(self.facts.asking.drop_offers(but_of=self.facts.choice.offer.robot_id))
+
+    # Meeting.
+
+    def _repeat_lock(self) -> None:
         if self._every(self.params.repeat_period_s, "lock"):
             self._send_lock()
 
-    def _locked(self, ack: Ack) -> None:
-        if ack.of != Lock.type:
-            return
-        assert self._rendezvous is not None
-        self._cancel_other_offers()
-        self._rendezvous.agree(ack.place, ack.in_s, self._now, self.situation.estimate)
-        self._go(S.AWAITING_ALIGNED)
+    def _agree(self, ack: Ack) -> None:
+        self.facts.rendezvous.agree(ack.place, ack.in_s, self.facts.now, self.facts.situation.estimate)
 
-    def _approach(self, _tick: Tick) -> None:
-        """It tells its driver now and then when it will be where they meet."""
-        assert self._rendezvous is not None
-        if self.meeting is None:
-            return
-        if reason := self._rendezvous.why_not(self._now):
-            self._tell(Terminate(**self._to_driver(), reason=str(reason)))
-            self._ask_again(reason)
-        elif self._every(self.params.request_period_s, "lock"):
+    def _go_to_meet(self) -> None:
+        self.facts.rendezvous.go(self.facts.situation, self.facts.now, self.facts.ready_in_s)
+
+    def _say_when(self) -> None:
+        if self._every(self.params.request_period_s, "lock"):
             self._send_lock()
 
+    def _note_contact(self) -> None:
+        self.facts.rendezvous.hear(self.facts.now)
+
     def _note_place(self, ack: Ack) -> None:
-        assert self._rendezvous is not None
-        self._rendezvous.hear(self._now)
-        if ack.of == Lock.type:
-            self._rendezvous.update(ack.place, ack.in_s, self._now)
+        self.facts.rendezvous.update(ack.place, ack.in_s, self.facts.now)
 
     def _couple(self, aligned: Aligned) -> None:
-        assert self._rendezvous is not None and self.offer is not None
-        if not self._rendezvous.in_place(self.situation):
-            self._rendezvous.hear(self._now)
-            return  # the driver says so again
-        self._cancel_other_offers()  # that it is aligned confirms the lock as well
-        self._ride = Ride(self.params, self._camera, aligned.ahead or self.offer.rear_marker, self._now)
-        self._go(S.COUPLING)
+        marker = aligned.ahead or self.facts.choice.offer.rear_marker
+        self.facts.ride = Ride(self.params, self._camera, marker, self.facts.now)
 
-    def _offer_withdrawn(self, message: Deny | Terminate) -> None:
-        self._ask_again(Ending.told(message.reason))
+    def _take_request_back(self) -> None:
+        self._tell(RequestCancel(**self._to_driver()))
 
-    def _watch_gap(self, _tick: Tick) -> None:
-        assert self._ride is not None
-        if self._ride.settled(self.situation, self._now):
-            self._ride.begin(self._now)
-            self._start_riding(Reason.NONE)
+    # Riding.
 
-    def _watch_driver(self, _tick: Tick) -> None:
-        assert self._ride is not None
+    def _look(self) -> None:
+        self.facts.ride.look(self.facts.situation, self.facts.now)
+
+    def _begin_ride(self) -> None:
+        self.facts.ride.begin(self.facts.now)
+
+    def _ride(self) -> None:
+        self.facts.rode = True
+        self._repeat_coupled()
+
+    def _repeat_coupled(self) -> None:
         gap = self.gap_m()
-        if gap is not None and self._ride.report is None and self._every(self.params.repeat_period_s, "coupled"):
-            self._send_coupled(gap)
-        if self._ride.silent(self._now):
-            self._lose_driver(Reason.DRIVER_SILENT)
-        elif self._ride.out_of_sight(self._now):
-            self._go(S.SEEKING, Reason.OUT_OF_SIGHT)
+        assert gap is not None
+        if self._every(self.params.repeat_period_s, "coupled"):
+            self._send(Coupled(**self._to_driver(), gap_m=gap))
 
-    def _seek(self, _tick: Tick) -> None:
-        assert self._ride is not None
-        if self._ride.silent(self._now):
-            self._lose_driver(Reason.DRIVER_SILENT)
-        elif self.gap_m() is not None:
-            self._start_riding(Reason.SEEN_AGAIN)
+    def _hear(self, message: Driver | Decouple) -> None:
+        self.facts.ride.hear(message, self.facts.now)
 
-    def _locate(self, _tick: Tick) -> None:
-        assert self._ride is not None
-        if self._ride.silent(self._now):
-            self._tell(Terminate(**self._to_driver(), reason=str(Reason.DRIVER_SILENT)))
-            self._go(S.RELOCALIZING, Reason.DRIVER_SILENT)
-        elif self._located():
-            self._pursuit = Pursuit(self.params, self._camera, self.ride_id, self._pursuit_ways)
-            self._go(S.CATCHING_UP, Reason.OUT_OF_SIGHT)
-
-    def _catch_up(self, _tick: Tick) -> None:
-        assert self._ride is not None and self._pursuit is not None
-        if self._ride.silent(self._now):
-            self._go_alone(Reason.DRIVER_SILENT)
-        elif self._ride.within_reach(self.situation, self._now):
-            self._ride.begin_to_settle()
-            self._go(S.RECOUPLING, Reason.SEEN_AGAIN)
-        elif not self._pursuit.aim(self._ride.told, self._ride.rear_marker, self.situation, self._now):
-            self._go_alone(Reason.NOT_CAUGHT)
-
-    def _recouple(self, _tick: Tick) -> None:
-        assert self._ride is not None
-        if self._ride.silent(self._now):
-            self._go_alone(Reason.DRIVER_SILENT)
-        elif self._ride.settled(self.situation, self._now):
-            self._start_riding(Reason.SEEN_AGAIN)
+    def _match(self, message: Driver) -> None:
+        self.facts.ride.match(message, self.facts.situation, self.facts.now)
 
     def _acknowledge(self, message: Driver) -> None:
-        assert self._ride is not None
-        self._ride.hear(message, self._now)
-        self._ride.match(message, self.situation, self._now)
-        seen, gap = self._ride.seen(self.situation, self._now), self.gap_m()
+        seen, gap = self.facts.ride.seen(self.facts.situation, self.facts.now), self.gap_m()
         self._send(
             Ack(
                 **self._to_driver(),
@@ -415,212 +329,89 @@ class HitchhikerMachine(Machine[HitchhikerState]):
             )
         )
 
-    def _settle(self, message: Decouple) -> None:
-        self._newer_pose(message)
-        self._go(S.SETTLING)
+    # Returning to a driver that is lost from sight.
 
-    def _newer_pose(self, message: Decouple) -> None:
-        assert self._ride is not None
-        self._ride.hear(message, self._now)
+    def _localize(self) -> None:
+        """Localization goes on without the marker."""
+        self._restart(self.facts.ride.rough_pose(self.facts.situation, self.facts.now))
 
-    def _take_over(self, _tick: Tick) -> None:
-        assert self._ride is not None
-        seen = self._ride.seen(self.situation, self._now)
-        standing = abs(self.situation.speed_mps) <= self.params.standstill_mps
-        # The driver's pose and the marker's must be of one moment: both robots stand, and the marker was seen since.
-        if standing and seen is not None and self.time_in_state() >= self.params.repeat_period_s:
-            self._take_over_now()
+    def _pursue(self) -> None:
+        self.facts.pursuit = Pursuit(self.params, self._camera, self.ride_id, self._pursuit_ways)
 
-    def _take_over_now(self) -> None:
-        assert self._ride is not None
-        seen, report = self._ride.seen(self.situation, self._now), self._ride.report
-        if seen is None or report is None:
-            self._lose_driver(Reason.DRIVER_LOST)
-            return
-        self._relocalize(self._ride.pose_behind_driver(seen, self.situation, self._now), Reason.NONE)
-        self._handed_over = True
-        self._answer_late(report)
+    def _aim(self) -> None:
+        ride = self.facts.ride
+        self.facts.pursuit.aim(ride.told, ride.rear_marker, self.facts.situation, self.facts.now)
 
-    def _abandoned(self, message: Terminate) -> None:
-        self._relocalize(self._rough_pose(), Ending.told(message.reason))
+    def _settle_anew(self) -> None:
+        self.facts.ride.begin_to_settle()
 
-    def _left_behind(self, message: Terminate) -> None:
-        self._part(Ending.told(message.reason))
+    # The ride ends.
 
-    def _overtaken(self, message: Decouple) -> None:
-        """The driver has come to the end of the ride without its rider."""
-        self._newer_pose(message)
-        self._tell(Terminate(**self._to_driver(), reason=str(Reason.DRIVER_LOST)))
-        if self.state is S.LOCATING:
-            self._go(S.RELOCALIZING, Reason.DRIVER_LOST)
-        else:
-            self._part(Reason.DRIVER_LOST)
+    def _take_reason(self, message: Deny | Terminate) -> None:
+        self.ending = Ending.told(message.reason)
 
-    def _watch_localization(self, _tick: Tick) -> None:
-        if not self._located():
-            return
-        restart, estimate = self._restart, self.situation.estimate
-        if restart is not None and estimate is not None:
-            self._note_driver(restart.driver_from(estimate.pose))
-        end = self._finish if self._handed_over or self.goal is None else self._part
-        end(self.ending)
+    def _add_silence(self) -> None:
+        self.ending = self.ending.adding(LOCALIZATION_SILENT)
 
-    def _answer_late(self, message: Decouple | Driver | Aligned) -> None:
-        """The driver still carries on with the ride that is over here: what it was told was lost."""
-        to_driver: dict[str, Any] = {"robot_id": self.robot_id, "to": message.robot_id, "ride_id": message.ride_id}
-        if not self._handed_over:
-            self._send(Terminate(**to_driver, reason=str(self.ending)))
-        elif isinstance(message, Decouple):
-            self._send(Ack(**to_driver, of=message.type, acknowledges=message.seq, gap_m=self.gap_m()))
+    def _tell_driver(self) -> None:
+        self._tell(Terminate(**self._to_driver(), reason=str(self.ending)))
 
-    def _cancel(self, _event: GoalCancelled) -> None:
-        self._cancel_offers()
-        if self.offer is not None:
-            self._tell(RequestCancel(**self._to_driver()))
-        self._finish(Reason.GOAL_CANCELLED)
+    def _report_ending(self) -> None:
+        self._report(self.ending)
 
-    def _cancel_ride(self, _event: GoalCancelled) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=str(Reason.GOAL_CANCELLED)))
-        self.goal = None
-        self._relocalize(self._rough_pose(), Reason.GOAL_CANCELLED)
+    def _take_over(self) -> None:
+        facts = self.facts
+        seen, report = facts.ride.seen(facts.situation, facts.now), facts.ride.report
+        assert seen is not None and isinstance(report, Decouple)
+        self._restart(facts.ride.pose_behind_driver(seen, facts.situation, facts.now))
+        facts.handed_over = True
+        self._acknowledge_handover(report)
 
-    def _cancel_return(self, _event: GoalCancelled) -> None:
-        self.goal = None
-        self._tell(Terminate(**self._to_driver(), reason=str(Reason.GOAL_CANCELLED)))
-        self._finish(Reason.GOAL_CANCELLED)
+    def _acknowledge_handover(self, message: Decouple) -> None:
+        self._send(Ack(**self._to(message), of=message.type, acknowledges=message.seq, gap_m=self.gap_m()))
 
-    def _cancel_parting(self, _event: GoalCancelled) -> None:
-        self.goal = None
-        self._finish(Reason.GOAL_CANCELLED)
+    def _say_it_is_over(self, message: Decouple | Driver | Aligned) -> None:
+        """The driver still carries on with a ride that is over here: what it was told was lost."""
+        self._send(Terminate(**self._to(message), reason=str(self.ending)))
 
-    def _nothing_to_cancel(self, _event: GoalCancelled) -> None:
-        self.goal = None
+    def _place_driver(self) -> None:
+        """The robot stands as it did when it saw its driver, and now knows better where that is."""
+        restart, estimate = self.facts.restart, self.facts.situation.estimate
+        assert restart is not None and estimate is not None
+        self._note_driver(restart.driver_from(estimate.pose))
 
-    # Timeouts.
+    def _finish(self) -> None:
+        self._report(self.ending or Reason.RIDE_COMPLETED)
 
-    def _limit_s(self, name: str) -> float:
-        """A hitchhiker that meets its driver from afar has a way to go first; T_hwait depends on the priority."""
-        if name == "max_wait_s":
-            return self.params.patience_s
-        if name == "max_align_s" and self._rendezvous is not None:
-            return self._rendezvous.patience_s
-        return super()._limit_s(name)
-
-    def _driver_not_found(self) -> None:
-        self._cancel_offers()
-        self._finish(Ending(Reason.DRIVER_NOT_FOUND, str(self.ending)))
-
-    def _lock_lost(self) -> None:
-        self._tell(RequestCancel(**self._to_driver()))
-        self._ask_again(Reason.LOCK_NOT_CONFIRMED)
-
-    def _not_aligned(self) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=str(Reason.DRIVER_NOT_ALIGNED)))
-        self._ask_again(Reason.DRIVER_NOT_ALIGNED)
-
-    def _not_coupled(self) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=str(Reason.LARGE_COUPLE_TIME)))
-        self._ask_again(Reason.LARGE_COUPLE_TIME)
-
-    def _not_found(self) -> None:
-        self._restart_from(self._rough_pose())
-        self._go(S.LOCATING, Reason.DRIVER_LOST)
-
-    def _give_up_locating(self) -> None:
-        self._go_alone(Ending(Reason.DRIVER_LOST, LOCALIZATION_SILENT))
-
-    def _not_caught(self) -> None:
-        self._go_alone(Reason.NOT_CAUGHT)
-
-    def _not_recoupled(self) -> None:
-        self._go_alone(Reason.LARGE_COUPLE_TIME)
-
-    def _parted(self) -> None:
-        self._finish(self.ending)
-
-    def _give_up_localizing(self) -> None:
-        self._finish(self.ending.adding(LOCALIZATION_SILENT))
+    def _forget_goal(self) -> None:
+        self.facts.goal = None
 
     # What several actions do.
 
-    def _look(self, situation: Situation, now: float) -> None:
-        """What follows from the situation for what is known of the driver."""
-        if self._ride is not None:
-            self._ride.look(situation, now)
-        elif self._rendezvous is not None and self.state is S.AWAITING_ALIGNED:
-            self._rendezvous.go(situation, now, self._ready_in_s)
-
     def _concerns(self, message: Message) -> bool:
+        """Whether a message is of the newest ride and its driver, or a question to this robot alone."""
         if isinstance(message, Request):
             return message.to == self.robot_id
         if not self.ride_id or message.ride_id != self.ride_id:
             return False
-        return self.offer is None or isinstance(message, Accept) or message.robot_id == self.offer.robot_id
+        offer = self.offer
+        return offer is None or isinstance(message, Accept) or message.robot_id == offer.robot_id
 
-    def _to_driver(self) -> dict[str, Any]:
-        assert self.offer is not None
-        return {"robot_id": self.robot_id, "to": self.offer.robot_id, "ride_id": self.ride_id}
+    def _cancel(self, drivers: Iterable[str]) -> None:
+        for driver in drivers:
+            self._send(RequestCancel(robot_id=self.robot_id, to=driver, ride_id=self.ride_id))
 
-    def _tell(self, end: Terminate | RequestCancel) -> None:
-        self._send_last_word(end, self.params.repeat_period_s, self.params.confirm_timeout_s)
-
-    def _send_coupled(self, gap: float) -> None:
-        self._every(self.params.repeat_period_s, "coupled")
-        self._send(Coupled(**self._to_driver(), gap_m=gap))
-
-    def _new_request(self) -> None:
-        self._rides, self._handed_over = self._rides + 1, False
-        self.ride_id = f"{self.robot_id}-{self._rides}-{self._now:.1f}"
-        self._asking = Asking(self.params, self._now, self._window_s, self._whom)
-
-    def _ask_again(self, why: Ending | Reason) -> None:
-        """Back to asking, as long as T_hwait of the first request allows."""
-        self._report(why)
-        self._cancel_offers()
-        self.offer = self._rendezvous = self._ride = None
-        self._new_request()
-        self._go(S.REQUESTING, why)
-        self._entered = self._asked_since
-
-    def _finish(self, why: Ending | Reason) -> None:
-        self._report(why or Reason.RIDE_COMPLETED)
-        self._go(S.IDLE, why)
-        self.offer = self._asking = self._rendezvous = self._ride = self._pursuit = self._restart = None
-
-    def _go_alone(self, why: Ending | Reason) -> None:
-        """The ride is over for one that knows where it is."""
-        self._tell(Terminate(**self._to_driver(), reason=str(why)))
-        self._part(why)
-
-    def _part(self, why: Ending | Reason) -> None:
-        """Both are near each other, and neither sees well to its back: one goes first."""
-        self._go(S.PARTING, why)
-
-    # In a network.
-
-    def _decide(self, asking: Asking, here: Pose2D) -> None:
-        """Take the best offer; go at once where none is good enough."""
-        assert self.goal is not None
-        meeting = asking.best(here, self.goal, self._ready_in_s, self._now, self._sites, self._metres)
-        if meeting is not None:
-            self._lock(asking.offers[meeting.driver][0], meeting)
-        elif asking.offers:
-            self._cancel_offers()
-            self._finish(Reason.ALONE_IS_BETTER)
-        else:
-            self._driver_not_found()
-
-    def _lock(self, offer: Accept, meeting: Meeting | None) -> None:
-        self.offer = offer
-        self._rendezvous = Rendezvous(self.params, self._sites, self.ride_id, meeting, self._now, self._ready_in_s)
-        self._go(S.LOCKING)
-        self._repeat_lock()
+    def _choose_offer(self, choice: Choice) -> None:
+        facts = self.facts
+        facts.choice = choice
+        facts.rendezvous = Rendezvous(
+            self.params, self._sites, self.ride_id, choice.meeting, facts.now, facts.ready_in_s
+        )
 
     def _send_lock(self) -> None:
-        assert self._rendezvous is not None
-        meeting = self._rendezvous.meeting
+        facts, meeting = self.facts, self.facts.choice.meeting
         if meeting is None:
-            self._send(Lock(**self._to_driver(), rear_marker=self._own_rear_marker))
+            self._send(Lock(**self._to_driver(), rear_marker=self._rear_marker))
             return
         self._send(
             Lock(
@@ -628,59 +419,33 @@ class HitchhikerMachine(Machine[HitchhikerState]):
                 aligning=meeting.point.aligning_pose,
                 waiting=meeting.point.waiting_pose,
                 leave=meeting.leave,
-                in_s=self._rendezvous.arrives_in_s(self.situation, self._now, self._ready_in_s),
-                rear_marker=self._own_rear_marker,
+                in_s=facts.rendezvous.arrives_in_s(facts.situation, facts.now, facts.ready_in_s),
+                rear_marker=self._rear_marker,
             )
         )
 
-    def _cancel_other_offers(self) -> None:
-        """Of all but the driver that is taken."""
-        self._cancel_offers(but_of="" if self.offer is None else self.offer.robot_id)
-        self._asking = None
+    def _to_driver(self) -> dict[str, Any]:
+        return {"robot_id": self.robot_id, "to": self.facts.choice.offer.robot_id, "ride_id": self.ride_id}
 
-    def _cancel_offers(self, but_of: str = "") -> None:
-        """Nobody waits for a hitchhiker that has chosen otherwise."""
-        for driver in () if self._asking is None else self._asking.drop_offers(but_of):
-            self._send(RequestCancel(robot_id=self.robot_id, to=driver, ride_id=self.ride_id))
+    def _to(self, message: Message) -> dict[str, Any]:
+        """Who answers whom, about which ride."""
+        return {"robot_id": self.robot_id, "to": message.robot_id, "ride_id": message.ride_id}
 
-    def _start_riding(self, why: Ending | Reason) -> None:
-        assert self._ride is not None
-        self.rode = True
-        self._pursuit = self._restart = None
-        self._go(S.RIDING, why)
-        gap = self.gap_m()
-        assert gap is not None
-        self._send_coupled(gap)
+    def _tell(self, end: Terminate | RequestCancel) -> None:
+        self._send_last_word(end, self.params.repeat_period_s, self.params.confirm_timeout_s)
 
-    def _located(self) -> bool:
-        """Whether localization goes on from the pose that it was given."""
-        return self._restart is not None and self._restart.taken(self.situation.estimate)
-
-    def _rough_pose(self) -> PoseEstimate | None:
-        assert self._ride is not None
-        return self._ride.rough_pose(self.situation, self._now)
-
-    def _lose_driver(self, why: Ending | Reason) -> None:
-        self._tell(Terminate(**self._to_driver(), reason=str(why)))
-        self._relocalize(self._rough_pose(), why)
-
-    def _relocalize(self, pose: PoseEstimate | None, why: Ending | Reason) -> None:
-        self._restart_from(pose)
-        self._go(S.RELOCALIZING, why)
-
-    def _restart_from(self, pose: PoseEstimate | None) -> None:
+    def _restart(self, pose: PoseEstimate | None) -> None:
         """Localization and mapping take over from the ride."""
-        assert self._ride is not None
+        facts, report = self.facts, self.facts.ride.report
+        facts.restart = None
         if pose is not None:
-            driver = self._ride.driver_pose(pose.pose, self.situation, self._now)
-            self._restart = Restart(pose, driver)
-            self._note_driver(driver)
+            facts.restart = Restart(pose, facts.ride.driver_pose(pose.pose, facts.situation, facts.now))
+            self._note_driver(facts.restart.driver)
             self._effects.append(TakePose(pose))
-        report = self._ride.report
         if report is not None and report.new_obstacles.obstacles:
             self._effects.append(TakeObstacles(report.new_obstacles.obstacles))
 
     def _note_driver(self, place: Pose2D | None) -> None:
         """The driver is where it is seen: what it said last may be metres old."""
-        if place is not None and self.offer is not None:
-            self._neighbours.saw(self.offer.robot_id, place, self._now)
+        if place is not None:
+            self.facts.neighbours.saw(self.facts.choice.offer.robot_id, place, self.facts.now)

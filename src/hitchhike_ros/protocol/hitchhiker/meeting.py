@@ -8,7 +8,6 @@ from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.events import NavigationReport, Situation
 from hitchhike_ros.protocol.matching import Meeting
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import GoalCommand
 
 # A hitchhiker within this of the heading of its hitchhiking point is in line. It turns where it stands (chosen).
@@ -99,17 +98,20 @@ class Rendezvous:
 
     # Why the meeting comes to nothing.
 
-    def why_not(self, now: float) -> Reason:
-        """Why the driver and the hitchhiker will not meet, NONE while they still may."""
+    def driver_is_gone(self, now: float) -> bool:
+        """Whether a driver that is to come from afar has not been heard of for too long."""
+        return self.meeting is not None and now - self._heard_at > self._params.contact_timeout_s
+
+    @property
+    def driver_is_late(self) -> bool:
+        """Whether the driver will come later than the hitchhiker would have waited for it."""
         if self.meeting is None:
-            return Reason.NONE
-        if now - self._heard_at > self._params.contact_timeout_s:
-            return Reason.DRIVER_GONE
-        if self._driver_due_at > self._agreed_at + self.meeting.begins_in_s + self._params.patience_s:
-            return Reason.DRIVER_LATE
-        if self._lost_way_at is not None and now - self._lost_way_at > self._params.planner_patience_s:
-            return Reason.CANNOT_MEET
-        return Reason.NONE
+            return False
+        return self._driver_due_at > self._agreed_at + self.meeting.begins_in_s + self._params.patience_s
+
+    def there_is_no_way(self, now: float) -> bool:
+        """Whether navigation has had no path to the place for a while."""
+        return self._lost_way_at is not None and now - self._lost_way_at > self._params.planner_patience_s
 
     @property
     def patience_s(self) -> float:

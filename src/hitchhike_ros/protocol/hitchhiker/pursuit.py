@@ -25,13 +25,14 @@ class Pursuit:
     ) -> None:
         """``numbers`` tell the ways apart that are ordered on one ride, in this pursuit and in others."""
         self.way: GoalCommand | None = None
+        self.nowhere_left = False  # to look, with the driver where it says that it is
         self._params, self._camera_x, self._ride_id, self._numbers = params, camera[0], ride_id, numbers
         self._aimed_at: Pose2D | None = None
         self._places: deque[Pose2D] = deque()
         self._looking_since: float | None = None
 
-    def aim(self, told: Sequence[Pose2D], rear_marker: RearMarker, situation: Situation, now: float) -> bool:
-        """Order the way to the next place when it is time for one.
+    def aim(self, told: Sequence[Pose2D], rear_marker: RearMarker, situation: Situation, now: float) -> None:
+        """Order the way to the next place when it is time for one, or note that none is left.
 
         A driver that has gone on is a reason to begin anew.
 
@@ -40,24 +41,19 @@ class Pursuit:
             rear_marker: the driver's.
             situation: what the own modules know.
             now: the present time.
-
-        Returns:
-            False when no place is left.
         """
-        if not told:
-            return False
-        if told[-1] != self._aimed_at:
+        if told and told[-1] != self._aimed_at:
             self._aimed_at, self._places = told[-1], deque(self._places_to_look(told, rear_marker, situation))
             self.way = None
         if self.way is not None and not self._looked_in_vain(self.way, situation, now):
-            return True
-        if not self._places:
-            return False
+            return
+        self.nowhere_left = not self._places
+        if self.nowhere_left:
+            return
         place = self._places.popleft()
         self._looking_since = None
         order = f"{self._ride_id}-behind-{next(self._numbers)}"
         self.way = GoalCommand(order, place.x, place.y, place.theta, _CATCH_UP_TOLERANCE_M, _CATCH_UP_TOLERANCE_RAD)
-        return True
 
     def _places_to_look(self, told: Sequence[Pose2D], rear_marker: RearMarker, situation: Situation) -> list[Pose2D]:
         """On the driver's own way, or on the spot when the driver is near; then straight in front of its marker."""

@@ -19,7 +19,6 @@ from hitchhike_ros.protocol.events import Award, TakeObstacles
 from hitchhike_ros.protocol.hitchhiker import machine as h
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.ride import Ride
-from hitchhike_ros.protocol.loose_machine import Machine as LooseMachine
 from hitchhike_ros.protocol.machine import Machine, Table
 
 # Bad networks and worse ones take turns.
@@ -52,9 +51,6 @@ def _before(cls: type, name: str, change: Callable[..., Any]) -> Patch:
 
 def _without_timeout(cls: Any, state: object) -> Patch:
     def patch(monkeypatch: pytest.MonkeyPatch) -> None:
-        if issubclass(cls, LooseMachine):
-            monkeypatch.setattr(cls, "TIMEOUTS", tuple(t for t in cls.TIMEOUTS if t.state is not state))
-            return
         table = Table(cls.ROWS)
         del table.deadlines[state]
         monkeypatch.setattr(cls, "TABLE", table)
@@ -106,11 +102,6 @@ def _wait_for_coupling(monkeypatch: pytest.MonkeyPatch) -> None:
     _before(Convoy, "silent", lambda *_: ())(monkeypatch)
 
 
-def _say_everything(monkeypatch: pytest.MonkeyPatch) -> None:
-    for base in (Machine, LooseMachine):
-        _before(base, "_every", lambda *_: True)(monkeypatch)
-
-
 def _nothing(*_: Any, **__: Any) -> None:
     return None
 
@@ -132,9 +123,9 @@ MUTATIONS: dict[str, Patch] = {
     "keep a rider that was handed over": _before(Convoy, "remove", _keep),
     "give a place twice": _before(DriverMachine, "_confirm_lock", _join_again),
     "more riders than places": _never_free,
-    "take the map without its boxes": _before(HitchhikerMachine, "_restart_from", _without_obstacles),
+    "take the map without its boxes": _before(HitchhikerMachine, "_restart", _without_obstacles),
     "forget the goal after a ride": _before(Agent, "_go_on", lambda *_: []),
-    "say everything at every tick": _say_everything,
+    "say everything at every tick": _before(Machine, "_every", lambda *_: True),
     "hurry with a rider": _fast_with_riders,
 }
 

@@ -12,7 +12,6 @@ from hitchhike_ros.core.errors import TransitionError
 from hitchhike_ros.core.geometry import between, compose, distance, wrap_angle
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven, NavigationReport, TakeObstacles, TakePose, Tick
-from hitchhike_ros.protocol.hitchhiker.machine import BEFORE_RIDE, COUPLED, RETURNING
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
@@ -31,6 +30,7 @@ from hitchhike_ros.protocol.messages import (
     Terminate,
 )
 from hitchhike_ros.protocol.neighbours import Neighbours
+from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.protocol.status import GoalCommand, ModuleSwitches
 from protocol_helpers import (
     BOXES,
@@ -49,6 +49,9 @@ from protocol_helpers import (
 )
 
 S = HitchhikerState
+BEFORE_RIDE = S.of(Phase.ASKING, Phase.MEETING, Phase.COUPLING)
+COUPLED = S.of(Phase.COUPLED, Phase.HANDING_OVER)
+RETURNING = S.of(Phase.RETURNING)
 LOCKED = (S.LOCKING, S.AWAITING_ALIGNED, S.COUPLING)
 
 
@@ -169,16 +172,6 @@ def test_aligned_may_overtake_the_lost_confirmation_of_the_lock() -> None:
     bench = rider_in(S.LOCKING)
     bench.hear(Aligned)
     assert bench.machine.state is S.COUPLING
-
-
-def test_aligned_that_confirms_the_lock_settles_all_offers() -> None:
-    """Found by `bench faults`, seeds 2835 and 9786: offers outlived the ride."""
-    bench = rider_in(S.LOCKING)
-    for driver in (DRIVER, "other"):
-        bench.machine._asking.note_offer(replace(bench.machine.offer, robot_id=driver), bench.now)
-    bench.hear(Aligned)
-    assert [m.to for m in bench.take(RequestCancel)] == ["other"]
-    assert not bench.machine.offers
 
 
 # Meeting from afar.
@@ -510,7 +503,7 @@ def test_every_step_of_the_search_ends_by_itself(
     state: HitchhikerState, limit: str, then: HitchhikerState, reason: str
 ) -> None:
     bench = rider_in(state)
-    limit_s, entered = getattr(bench.machine.params, limit), bench.machine._entered
+    limit_s, entered = getattr(bench.machine.params, limit), bench.machine.facts.entered
     bench.pose = None if state is S.LOCATING else bench.pose
     while bench.now - entered < limit_s - 0.2:
         bench.wait()
