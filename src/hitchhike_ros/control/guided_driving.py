@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchhike_ros.control.leg import TOUCHED, Decision, Leg, Progress, Scene
+from hitchhike_ros.control.leg import TOUCHED, Decision, Leg, ProgressCheck, Scene
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.safe_motion import SafeMotion
 from hitchhike_ros.core.datatypes import FloatArray, Twist2D
@@ -22,7 +22,7 @@ class GuidedDriving:
     def step(self, scene: Scene, leg: Leg, wanted: Twist2D) -> Decision:
         """The nearest safe motion to ``wanted``; blocked is only the path, from too far beside it."""
         # It goes where and when the human wants: that is no lack of progress.
-        leg.progress = Progress(scene.now, scene.pose, scene.now)
+        leg.progress = ProgressCheck(scene.now, scene.pose, scene.now)
         leg.detour, leg.turning = None, False
         if self._motion.touches(scene):
             return Decision(Twist2D(), "blocked", TOUCHED)

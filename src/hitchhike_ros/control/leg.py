@@ -45,7 +45,7 @@ class Scene:
 
 
 @dataclass
-class Progress:
+class ProgressCheck:
     """Whether the robot gets on: since when it stands, and since when it has stayed about one place."""
 
     moved_at: float = math.inf
@@ -83,4 +83,4 @@ class Leg:
     aligning: bool = False  # standing, to the goal's heading
     settled: bool = False
     arrived: bool = False
-    progress: Progress = field(default_factory=Progress)
+    progress: ProgressCheck = field(default_factory=ProgressCheck)

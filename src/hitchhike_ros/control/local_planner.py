@@ -21,7 +21,7 @@ import numpy as np
 from hitchhike_ros.control.clearance import ClearanceField
 from hitchhike_ros.control.goal_approach import GoalApproach
 from hitchhike_ros.control.guided_driving import GuidedDriving
-from hitchhike_ros.control.leg import TOUCHED, Decision, Leg, Progress, Scene
+from hitchhike_ros.control.leg import TOUCHED, Decision, Leg, ProgressCheck, Scene
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.path_following import PathFollowing
@@ -90,7 +90,7 @@ class LocalPlanner:
         if before is None or before.goal != goal:
             self._start_over()
         elif before.progress.stuck:  # another path is another chance
-            self._leg.progress = Progress(before.progress.moved_at)
+            self._leg.progress = ProgressCheck(before.progress.moved_at)
         else:
             self._leg.progress = before.progress
 

@@ -13,7 +13,7 @@ from hitchhike_ros.core.geometry import transform_points
 from hitchhike_ros.localization.ekf import LandmarkObservation, Landmarks
 from hitchhike_ros.mapping.grid import UNKNOWN, OccupancyGrid
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise
-from hitchhike_ros.mapping.scan_lines import Line, LineParameters, extract_lines
+from hitchhike_ros.mapping.scan_lines import LineParameters, ScanLine, extract_lines
 
 CONVEX, CONCAVE = 1.0, 0.0
 
@@ -95,7 +95,9 @@ def scan_corners(
     return observations
 
 
-def _intersection(ends: EndPoints, one: Line, two: Line, sigma: FloatArray, p: CornerParameters) -> FloatArray | None:
+def _intersection(
+    ends: EndPoints, one: ScanLine, two: ScanLine, sigma: FloatArray, p: CornerParameters
+) -> FloatArray | None:
     """Where two adjoining pieces meet (2,), if both are long enough and the angle between them is a corner's."""
     cross = float(one.direction[0] * two.direction[1] - one.direction[1] * two.direction[0])
     if abs(cross) < math.sin(p.min_angle_rad):

@@ -23,7 +23,7 @@ class LineParameters:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class ScanLine:
     """A straight piece of a scan: points first..last (inclusive), along ``direction`` through ``centre``."""
 
     first: int
@@ -32,7 +32,7 @@ class Line:
     direction: FloatArray
 
 
-def extract_lines(ends: EndPoints, noise: LaserNoise, parameters: LineParameters) -> list[list[Line]]:
+def extract_lines(ends: EndPoints, noise: LaserNoise, parameters: LineParameters) -> list[list[ScanLine]]:
     """Chains of adjoining straight pieces, by iterative end-point fit (split) and least squares.
 
     Beams must be in the order of their angles. A chain ends where the scan has a gap.
@@ -83,16 +83,16 @@ class _Sums:
         terms = np.column_stack([x, y, x * x, y * y, x * y])
         self._sums = np.vstack([np.zeros(5), np.cumsum(terms, axis=0)]).tolist()
 
-    def fit(self, first: int, last: int) -> Line:
+    def fit(self, first: int, last: int) -> ScanLine:
         """Total least squares through the points first..last, without the ends that two pieces share."""
         a, b = (first + 1, last) if last - first >= 4 else (first, last + 1)
         n = b - a
         x, y, xx, yy, xy = ((high - low) / n for high, low in zip(self._sums[b], self._sums[a], strict=True))
         angle = 0.5 * math.atan2(2.0 * (xy - x * y), (xx - x * x) - (yy - y * y))
-        return Line(first, last, np.array([x, y]), np.array([math.cos(angle), math.sin(angle)]))
+        return ScanLine(first, last, np.array([x, y]), np.array([math.cos(angle), math.sin(angle)]))
 
 
-def _merge(points: FloatArray, sums: _Sums, chain: list[Line], tolerance: FloatArray) -> list[Line]:
+def _merge(points: FloatArray, sums: _Sums, chain: list[ScanLine], tolerance: FloatArray) -> list[ScanLine]:
     """Join neighbours that are one line after all: together they stay within the tolerance (N,) of their points."""
     merged = chain[:1]
     for line in chain[1:]:

@@ -36,7 +36,7 @@ from hitchhike_ros.modules.module import Health, Level, Order, Orders, Outputs, 
 from hitchhike_ros.modules.robot_files import RobotFiles
 from hitchhike_ros.protocol.observations import Observations
 from hitchhike_ros.protocol.status import ANY_MARKER, ModuleSwitches, ServoCommand, Status
-from hitchhike_ros.servoing.follow import Decision, FollowLaw
+from hitchhike_ros.servoing.follow import FollowDecision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.marker_detector import (
     MarkerDetection,
@@ -380,7 +380,7 @@ class VisualServoing:
         decision = self._law.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
         problem = problem or self._odometry_problem or self._order_problem(now)
         if problem:
-            decision = Decision(Twist2D(), "stopped", problem)
+            decision = FollowDecision(Twist2D(), "stopped", problem)
         twist, limited = (decision.twist, False) if self._limiter is None else self._limiter.limit(now, decision.twist)
         if seen is not None and not limited and _is_steady(decision, servo.gap_m):
             self._steady = twist
@@ -403,7 +403,7 @@ class VisualServoing:
         return Health(level, reason, {**self._counters, **values})
 
 
-def _is_steady(decision: Decision, gap_m: float) -> bool:
+def _is_steady(decision: FollowDecision, gap_m: float) -> bool:
     """Whether the command may stay as it is for an image."""
     return (
         decision.state == "following"

@@ -62,7 +62,7 @@ class ItineraryParameters:
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class ItineraryRequest:
     """The hitchhiker: ``start`` and ``goal`` in ``map``, its speed alone, the boarding ``sites``, the time ``now``.
 
     Sites are points (S, 2), or poses (S, 3) where only drivers that go that way stop.
@@ -76,7 +76,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Leg:
+class ItineraryLeg:
     """One part of an itinerary from ``start`` at ``begin_s`` to ``end`` at ``end_s``.
 
     A ride begins with coupling and ends with decoupling; before it, its driver waits ``driver_wait_s``.
@@ -96,13 +96,13 @@ class Leg:
 class Itinerary:
     """Legs in order. ``optimal`` is False when ``max_labels`` ended the search: a better one may exist."""
 
-    legs: tuple[Leg, ...]
+    legs: tuple[ItineraryLeg, ...]
     cost: float
     arrival_s: float
     optimal: bool = True
 
     @property
-    def rides(self) -> tuple[Leg, ...]:
+    def rides(self) -> tuple[ItineraryLeg, ...]:
         return tuple(leg for leg in self.legs if leg.kind == "ride")
 
     @property
@@ -126,7 +126,7 @@ class _Label:
 
 
 def plan_itinerary(
-    request: Request,
+    request: ItineraryRequest,
     drivers: Sequence[AnnouncedDriver],
     solo_metres: SoloMetres = cdist,
     parameters: ItineraryParameters | None = None,
@@ -158,7 +158,7 @@ class _Search:
     """One search: distances and bounds as arrays, then labels from a heap."""
 
     def __init__(
-        self, request: Request, rides: Rides, solo_metres: SoloMetres, parameters: ItineraryParameters
+        self, request: ItineraryRequest, rides: Rides, solo_metres: SoloMetres, parameters: ItineraryParameters
     ) -> None:
         self.request, self.rides = request, rides
         self.rules, self.costs, self.max_labels = parameters.rules, parameters.costs, parameters.max_labels
@@ -224,7 +224,7 @@ class _Search:
         labels = [last]
         while (parent := labels[-1].parent) is not None:
             labels.append(parent)
-        legs: list[Leg] = []
+        legs: list[ItineraryLeg] = []
         here = self.request.start
         for before, after in zip(labels[::-1], labels[-2::-1], strict=False):
             boarding = int(self.rides.boarding[after.ride])
@@ -233,16 +233,18 @@ class _Search:
             arrives = before.time + metres / self.request.solo_speed_mps
             begins = max(arrives, float(self.rides.earliest[boarding]))
             late = max(0.0, begins - float(self.rides.time[boarding]))
-            legs.append(Leg("solo", here, there, before.time, arrives, metres))
-            legs.append(Leg("wait", there, there, arrives, begins))
+            legs.append(ItineraryLeg("solo", here, there, before.time, arrives, metres))
+            legs.append(ItineraryLeg("wait", there, there, arrives, begins))
             here = self._point(self.rides.to[after.ride])
             driver = drivers[self.rides.driver[boarding]]
             legs.append(
-                Leg("ride", there, here, begins, after.time, float(self.rides.metres[after.ride]), driver, late)
+                ItineraryLeg(
+                    "ride", there, here, begins, after.time, float(self.rides.metres[after.ride]), driver, late
+                )
             )
         metres = float(self.metres[self._row(last), -1])
         arrival = last.time + metres / self.request.solo_speed_mps
-        legs.append(Leg("solo", here, self.request.goal, last.time, arrival, metres))
+        legs.append(ItineraryLeg("solo", here, self.request.goal, last.time, arrival, metres))
         cost = last.cost + float(self.solo_cost[self._row(last), -1])
         kept = tuple(leg for leg in legs if leg.metres > 0 or leg.end_s > leg.begin_s)
         return Itinerary(kept, cost, arrival, optimal)
@@ -301,7 +303,7 @@ def _numbered(values: IndexArray, below: int) -> tuple[IndexArray, IndexArray]:
     return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[values]
 
 
-def _check(request: Request) -> FloatArray:
+def _check(request: ItineraryRequest) -> FloatArray:
     """The sites (S, 2) of a request that can be planned."""
     speed = request.solo_speed_mps
     if not (math.isfinite(speed) and speed > 0):

@@ -15,9 +15,9 @@ from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, usable_drivers
 from hitchhike_ros.planning.itinerary import (
     Itinerary,
+    ItineraryLeg,
     ItineraryParameters,
-    Leg,
-    Request,
+    ItineraryRequest,
     SoloMetres,
     plan_itinerary,
 )
@@ -114,7 +114,9 @@ def choose(
     usable, _ = usable_drivers(announced, now, _rules(params))
     if not usable:
         return None
-    request = Request((start.x, start.y), (goal.x, goal.y), params.cruise_speed_mps, _places(sites), now + ready_in_s)
+    request = ItineraryRequest(
+        (start.x, start.y), (goal.x, goal.y), params.cruise_speed_mps, _places(sites), now + ready_in_s
+    )
     settings = ItineraryParameters(_rules(params))
 
     def plan(drivers: tuple[AnnouncedDriver, ...]) -> Itinerary | None:
@@ -212,7 +214,7 @@ def _meeting(
     )
 
 
-def _point(ride: Leg, offer: Accept, sites: Sites, params: HitchhikingParameters) -> HitchhikingPoint:
+def _point(ride: ItineraryLeg, offer: Accept, sites: Sites, params: HitchhikingParameters) -> HitchhikingPoint:
     """The hitchhiking point where the ride begins, or places for both on the driver's path."""
     x, y = ride.start
     known = next((p for p in sites.hitchhiking_points if distance(p.waiting_pose, Pose2D(x, y)) < 0.01), None)

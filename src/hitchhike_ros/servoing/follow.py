@@ -24,7 +24,7 @@ from hitchhike_ros.servoing.driver_estimate import DriverEstimate
 from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
 from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
-from hitchhike_ros.servoing.servo_laws import Target, View, make_law, saturate
+from hitchhike_ros.servoing.servo_laws import LawInput, Target, make_law, saturate
 
 # A follower farther than this from the trail of a driver that it lost does not go back to it (chosen).
 STRAY_M = 0.5
@@ -33,7 +33,7 @@ State = Literal["searching", "following", "coasting", "looking", "turning", "los
 
 
 @dataclass(frozen=True)
-class Decision:
+class FollowDecision:
     """What to do now, and why when it is not following; gap and bearing of the marker as predicted for now."""
 
     twist: Twist2D
@@ -83,7 +83,7 @@ class FollowLaw:
         odometry: Odometry | None,
         gap_m: float,
         feed_forward_mps: float = 0.0,
-    ) -> Decision:
+    ) -> FollowDecision:
         """The command at time ``now``.
 
         Args:
@@ -104,7 +104,9 @@ class FollowLaw:
             self._see(observation, feed_forward_mps)
         age = now - self._odometry.newest.stamp if self._odometry else math.inf
         if not age <= p.odometry_timeout_s:
-            return Decision(Twist2D(), "stopped", "no odometry" if math.isinf(age) else f"odometry is {age:.2f} s old")
+            return FollowDecision(
+                Twist2D(), "stopped", "no odometry" if math.isinf(age) else f"odometry is {age:.2f} s old"
+            )
         driver = self._driver
         if driver is None:
             return self._seek_driver(now)
@@ -112,25 +114,25 @@ class FollowLaw:
             return self._search_driver(now, driver)
         return self._follow(now, driver, gap_m)
 
-    def _follow(self, now: float, driver: DriverEstimate, gap_m: float) -> Decision:
+    def _follow(self, now: float, driver: DriverEstimate, gap_m: float) -> FollowDecision:
         own = self._odometry.newest.pose
         target = self._target(now, own, driver)
-        v, omega = self._law.velocities(View(own, self._trail, target, driver.speed), gap_m)
+        v, omega = self._law.velocities(LawInput(own, self._trail, target, driver.speed), gap_m)
         # Bearing's rate is drift - omega.
         across = wrap_angle(driver.heading - own.theta) - target.bearing
         drift = (driver.speed * math.sin(across) + v * math.sin(target.bearing)) / max(target.gap, 0.1)
         omega = self._keep_in_view(omega, target.bearing, drift)
         twist = saturate(v, omega, self._limits.max_speed_mps, self._max_omega)
-        return Decision(twist, "following", "", target.gap, target.bearing)
+        return FollowDecision(twist, "following", "", target.gap, target.bearing)
 
-    def _seek_driver(self, now: float) -> Decision:
+    def _seek_driver(self, now: float) -> FollowDecision:
         """Look ahead for a while, then to both sides, since nothing is known of the driver yet."""
         if self._search is None:
             self._search = DriverSearch(self._params, self._limits, Departure(0.0, 0.0, 0.0), now)
         twist, state = self._search.step(now, self._odometry.newest.pose, self._trail, 0.0)
-        return Decision(twist, "searching" if state == "looking" else state, "marker not seen yet")
+        return FollowDecision(twist, "searching" if state == "looking" else state, "marker not seen yet")
 
-    def _search_driver(self, now: float, driver: DriverEstimate) -> Decision:
+    def _search_driver(self, now: float, driver: DriverEstimate) -> FollowDecision:
         own = self._odometry.newest.pose
         if self._search is None:
             bearing = self._target(driver.stamp + self._params.lost_timeout_s, own, driver).bearing
@@ -140,7 +142,7 @@ class FollowLaw:
         place = self._trail.advance(own.x, own.y)
         ahead = self._camera_x + self._params.marker_offset_m + self._params.coast_stop_m
         twist, state = self._search.step(now, own, self._trail, self._trail.length - place - ahead)
-        return Decision(twist, state, f"marker not seen for {now - driver.stamp:.2f} s")
+        return FollowDecision(twist, state, f"marker not seen for {now - driver.stamp:.2f} s")
 
     def _target(self, now: float, own: Pose2D, driver: DriverEstimate) -> Target:
         camera, marker = compose(own, Pose2D(self._camera_x)), driver.marker_at(now)

@@ -54,7 +54,7 @@ class Target:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class LawInput:
     """What a law acts upon: own pose and the driver's trail in ``odom``, the target, and the driver's signed speed."""
 
     own: Pose2D
@@ -66,7 +66,7 @@ class View:
 class ServoLaw(Protocol):
     """One way to follow."""
 
-    def velocities(self, view: View, gap_m: float) -> tuple[float, float]:
+    def velocities(self, view: LawInput, gap_m: float) -> tuple[float, float]:
         """(v, omega) that keep the marker at ``gap_m``, not yet limited."""
 
 
@@ -76,7 +76,7 @@ class TrailLaw:
     def __init__(self, params: FollowParameters, limits: RobotLimits) -> None:
         self._params, self._limits = params, limits
 
-    def velocities(self, view: View, gap_m: float) -> tuple[float, float]:
+    def velocities(self, view: LawInput, gap_m: float) -> tuple[float, float]:
         """As :class:`ServoLaw`."""
         error = view.target.gap - gap_m
         v = view.driver_speed + closing_gain(self._params, self._limits, error) * error
@@ -152,7 +152,7 @@ class TaskLaw:
     def __init__(self, task: Task, params: FollowParameters, limits: RobotLimits) -> None:
         self._task, self._params, self._limits = task, params, limits
 
-    def velocities(self, view: View, gap_m: float) -> tuple[float, float]:
+    def velocities(self, view: LawInput, gap_m: float) -> tuple[float, float]:
         """As :class:`ServoLaw`."""
         target = view.target
         gains = (self._params.bearing_gain, closing_gain(self._params, self._limits, target.x - gap_m))

@@ -15,7 +15,7 @@ WINDOW_S = 2.0
 
 
 @dataclass(frozen=True)
-class Sighting:
+class MarkerView:
     """A marker in one image, as the camera has it: bearing positive to the left; yaw 0 when the plate faces the camera,
     positive when it is turned to its own left, which is to the right in the image."""
 
@@ -25,22 +25,22 @@ class Sighting:
     yaw_rad: float
 
 
-def sighting(code: str, T_camera_marker: FloatArray) -> Sighting:
+def sighting(code: str, T_camera_marker: FloatArray) -> MarkerView:
     """From the marker's pose (4, 4) in the camera's optical frame (z ahead, x right, y down); its x is its normal."""
     x, y, z = T_camera_marker[:3, 3]
     normal = T_camera_marker[:3, 0]
-    return Sighting(code, float(np.sqrt(x * x + y * y + z * z)), math.atan2(-x, z), math.atan2(normal[0], -normal[2]))
+    return MarkerView(code, float(np.sqrt(x * x + y * y + z * z)), math.atan2(-x, z), math.atan2(normal[0], -normal[2]))
 
 
 class ViewStatistics:
     """Counts images as they come, each with what was seen in it or None."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[float, Sighting | None]] = deque()
+        self._recent: deque[tuple[float, MarkerView | None]] = deque()
         self.images = self.seen = 0
         self._nearest, self._farthest = math.inf, -math.inf
 
-    def add(self, stamp: float, seen: Sighting | None) -> None:
+    def add(self, stamp: float, seen: MarkerView | None) -> None:
         """An image of time ``stamp`` in s."""
         if self._recent and stamp < self._recent[-1][0]:  # the clock was reset
             self._recent.clear()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, end_points
-from hitchhike_ros.mapping.scan_lines import Line, LineParameters, extract_lines
+from hitchhike_ros.mapping.scan_lines import LineParameters, ScanLine, extract_lines
 from laser_world import LASER, boxes_of, take_scan
 
 PARAMETERS, NOISE = LineParameters(), LaserNoise()
@@ -28,7 +28,7 @@ def wall(start: tuple[float, float], end: tuple[float, float], count: int = 40) 
     return np.linspace(start, end, count)
 
 
-def ends_of(chains: list[list[Line]]) -> list[list[tuple[int, int]]]:
+def ends_of(chains: list[list[ScanLine]]) -> list[list[tuple[int, int]]]:
     return [[(line.first, line.last) for line in chain] for chain in chains]
 
 

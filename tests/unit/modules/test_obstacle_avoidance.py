@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flat_world import LASER, TURTLEBOT, FlatWorld
-from hitchhike_ros.control.local_planner import Decision, LocalPlanner
+from hitchhike_ros.control.leg import Decision
+from hitchhike_ros.control.local_planner import LocalPlanner
 from hitchhike_ros.control.teleop_authority import TeleopAuthorityParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters
 from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D

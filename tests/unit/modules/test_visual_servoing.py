@@ -30,7 +30,7 @@ from hitchhike_ros.modules.visual_servoing import (
     VisualServoingParameters,
 )
 from hitchhike_ros.protocol.status import ANY_MARKER, ModuleSwitches, ServoCommand, Status
-from hitchhike_ros.servoing.follow import Decision, FollowLaw
+from hitchhike_ros.servoing.follow import FollowDecision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.marker_tracker import MarkerTracker
 from hitchhike_ros.servoing.qr_codes import code_id
@@ -359,7 +359,7 @@ def test_no_image_is_left_out_where_that_is_not_wanted() -> None:
 class Decided:
     """A law that decides as the test wants."""
 
-    def __init__(self, decision: Decision) -> None:
+    def __init__(self, decision: FollowDecision) -> None:
         self.decision = decision
 
     def reset(self) -> None: ...
@@ -368,11 +368,11 @@ class Decided:
 
     def pose_at(self, _stamp: float) -> None: ...
 
-    def step(self, *_: object) -> Decision:
+    def step(self, *_: object) -> FollowDecision:
         return self.decision
 
 
-STEADY = Decision(Twist2D(0.4, 0.0), "following", "", 0.8)
+STEADY = FollowDecision(Twist2D(0.4, 0.0), "following", "", 0.8)
 
 
 @pytest.mark.parametrize(
@@ -390,7 +390,7 @@ STEADY = Decision(Twist2D(0.4, 0.0), "following", "", 0.8)
         (replace(STEADY, state="coasting"), False),
     ],
 )
-def test_it_leaves_an_image_out_only_while_it_follows_steadily(decision: Decision, steady: bool) -> None:
+def test_it_leaves_an_image_out_only_while_it_follows_steadily(decision: FollowDecision, steady: bool) -> None:
     rig = Rig(law=Decided(decision))
     rig.order(FOLLOW, 0.0)
     rig.module.sense(images.CAMERA, 0.0)

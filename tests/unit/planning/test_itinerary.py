@@ -16,7 +16,7 @@ from hitchhike_ros.experiments.bench import itineraries as bench_itineraries
 from hitchhike_ros.experiments.bench.itineraries import along_corridors, building_fleet, small_fleet
 from hitchhike_ros.experiments.bench.itinerary_reference import cheapest
 from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, possible_rides, usable_drivers
-from hitchhike_ros.planning.itinerary import ItineraryCosts, ItineraryParameters, Request, plan_itinerary
+from hitchhike_ros.planning.itinerary import ItineraryCosts, ItineraryParameters, ItineraryRequest, plan_itinerary
 from hitchhike_ros.planning.overlap import common_stretch
 
 RULES = RideRules()
@@ -39,8 +39,8 @@ def driver(name: str, path: np.ndarray, speed: float = 0.5, begin: float = 0.0, 
     return AnnouncedDriver(name, path, times, **{"safe_speed_mps": speed, **others})
 
 
-def request(start: tuple[float, float], goal: tuple[float, float], *sites: tuple[float, float]) -> Request:
-    return Request(start, goal, 0.5, np.array(sites).reshape(-1, 2), 0.0)
+def request(start: tuple[float, float], goal: tuple[float, float], *sites: tuple[float, float]) -> ItineraryRequest:
+    return ItineraryRequest(start, goal, 0.5, np.array(sites).reshape(-1, 2), 0.0)
 
 
 def kinds(plan) -> list[str]:

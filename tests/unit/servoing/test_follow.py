@@ -16,7 +16,7 @@ from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.geometry import between, compose, move, wrap_angle
 from hitchhike_ros.servoing.driver_estimate import DriverEstimate
 from hitchhike_ros.servoing.driver_trail import DriverTrail
-from hitchhike_ros.servoing.follow import Decision, FollowLaw
+from hitchhike_ros.servoing.follow import FollowDecision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import saturate
 
@@ -54,7 +54,7 @@ class Run:
     bearing: np.ndarray
     twist: np.ndarray
     states: list[str]
-    decisions: list[Decision]
+    decisions: list[FollowDecision]
 
 
 def distance_to_polyline(pose, points):

@@ -17,11 +17,11 @@ from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.servo_laws import (
     ImageTask,
+    LawInput,
     PositionTask,
     Target,
     TaskLaw,
     TrailLaw,
-    View,
     closing_gain,
     make_law,
     saturate,
@@ -76,7 +76,7 @@ def test_the_interaction_matrix_never_becomes_singular(task, target):
 def test_the_error_decays_as_the_gains_say(task, target):
     params = FollowParameters()
     law = TaskLaw(task, params, LIMITS)
-    v, omega = law.velocities(View(Pose2D(), DriverTrail((0.0, 0.0), (1.0, 0.0)), target, target.speed), GAP)
+    v, omega = law.velocities(LawInput(Pose2D(), DriverTrail((0.0, 0.0), (1.0, 0.0)), target, target.speed), GAP)
     rate = task.jacobian(target) @ (v, omega) + task.drift(target)
     gain = closing_gain(params, LIMITS, target.x - GAP)
     if v > 0.0:  # it does not go backwards
@@ -87,7 +87,7 @@ def test_the_error_decays_as_the_gains_say(task, target):
 def test_in_place_behind_a_driver_every_law_drives_as_the_driver(name):
     law = make_law(FollowParameters(law=name), LIMITS)
     target = Target(GAP, 0.0, 0.5, 0.0, 0.1)
-    v, omega = law.velocities(View(Pose2D(), DriverTrail((0.0, 0.0), (1.2, 0.0)), target, 0.5), GAP)
+    v, omega = law.velocities(LawInput(Pose2D(), DriverTrail((0.0, 0.0), (1.2, 0.0)), target, 0.5), GAP)
     assert (v, omega) == (pytest.approx(0.5), pytest.approx(0.0, abs=1e-9))
 
 
@@ -97,7 +97,7 @@ def test_a_standing_marker_is_driven_up_to(name, start):
     params = FollowParameters(law=name)
     law, target = make_law(params, LIMITS), Target(*start, camera_x=0.1)
     for _ in range(200):
-        v, omega = law.velocities(View(Pose2D(), DriverTrail((0.0, 0.0), (1.0, 0.0)), target, 0.0), GAP)
+        v, omega = law.velocities(LawInput(Pose2D(), DriverTrail((0.0, 0.0), (1.0, 0.0)), target, 0.0), GAP)
         twist = saturate(v, omega, LIMITS.max_speed_mps, params.max_yaw_rate_rps)
         target = moved(target, twist.v, twist.omega, 0.05)
         assert target.gap > min(GAP, math.hypot(*start)) - 0.05
@@ -109,7 +109,7 @@ def test_a_standing_marker_is_driven_up_to(name, start):
 
 def test_the_trail_is_followed_where_the_marker_would_be_gone_straight_to():
     trail, target = DriverTrail((0.0, 0.0), (0.6, 0.3), (1.2, 0.0)), Target(0.9, 0.0, 0.0, 0.0, 0.1)
-    view = View(Pose2D(), trail, target, 0.3)
+    view = LawInput(Pose2D(), trail, target, 0.3)
     v, omega = TrailLaw(FollowParameters(), LIMITS).velocities(view, GAP)
     straight = make_law(FollowParameters(law="image"), LIMITS).velocities(view, GAP)
     assert omega > 0.1

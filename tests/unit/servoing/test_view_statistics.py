@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hitchhike_ros.core.geometry import matrix_from_xyz_rpy
-from hitchhike_ros.servoing.view_statistics import Sighting, ViewStatistics, sighting
+from hitchhike_ros.servoing.view_statistics import MarkerView, ViewStatistics, sighting
 
 # A marker's frame (x normal, z up) that faces the camera (z ahead, y down).
 FACING = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -31,7 +31,7 @@ def test_a_marker_seen_from_the_camera(yaw: float) -> None:
 def test_share_rate_and_spread_are_of_late_and_the_summary_of_all() -> None:
     view = ViewStatistics()
     for k in range(100):  # 10 s at 10 Hz; the first half without a marker, then every fourth image misses it
-        seen = Sighting("36h11 id: 0", 1.0 + 0.01 * (-1) ** k, 0.1, -0.2) if k >= 50 and k % 4 != 1 else None
+        seen = MarkerView("36h11 id: 0", 1.0 + 0.01 * (-1) ** k, 0.1, -0.2) if k >= 50 and k % 4 != 1 else None
         view.add(0.1 * k, seen)
     assert view.rate_hz == pytest.approx(10.0)
     line = view.line()

@@ -26,7 +26,7 @@ from hitchhike_ros.planning.itinerary import (
     Itinerary,
     ItineraryCosts,
     ItineraryParameters,
-    Request,
+    ItineraryRequest,
     plan_itinerary,
 )
 
@@ -49,7 +49,7 @@ def run(options: Options, progress: Progress) -> Findings:
     return Findings([*_optimal(options.seed, fleets, progress), *_growth(options, buildings, progress)])
 
 
-def small_fleet(seed: int) -> tuple[Request, tuple[AnnouncedDriver, ...], ItineraryParameters]:
+def small_fleet(seed: int) -> tuple[ItineraryRequest, tuple[AnnouncedDriver, ...], ItineraryParameters]:
     """Two to six drivers between points of a coarse grid, so that paths share nodes; rules and costs at random."""
     random = np.random.default_rng(seed)
     crossings = 12.0 * np.stack(np.meshgrid(np.arange(3), np.arange(6)), axis=-1).reshape(-1, 2)
@@ -66,7 +66,7 @@ def small_fleet(seed: int) -> tuple[Request, tuple[AnnouncedDriver, ...], Itiner
         drivers.append(AnnouncedDriver(f"driver{k}", path, times, safe_speed_mps=float(random.uniform(0.4, 1.2))))
     if random.random() < 0.3:  # with a heading
         sites = np.column_stack([sites, random.choice([0.0, 1.6, -1.6], len(sites))])
-    request = Request(
+    request = ItineraryRequest(
         (float(start[0]), float(start[1])),
         (float(goal[0]), float(goal[1])),
         solo_speed_mps=float(random.uniform(0.2, 0.7)),
@@ -87,7 +87,7 @@ def small_fleet(seed: int) -> tuple[Request, tuple[AnnouncedDriver, ...], Itiner
 
 def building_fleet(
     random: np.random.Generator, count: int, spread_m: float = 0.0
-) -> tuple[Request, tuple[AnnouncedDriver, ...]]:
+) -> tuple[ItineraryRequest, tuple[AnnouncedDriver, ...]]:
     """``count`` drivers with three to six straight stretches each, starting within two minutes, and a robot that asks.
 
     Where paths meet they share nodes, unless these are moved at random by ``spread_m`` (standard deviation).
@@ -108,7 +108,7 @@ def building_fleet(
     crossings = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
     sites = random.choice(crossings, _SITES, replace=False)
     start, goal = random.choice(grid[:3], 2), random.choice(grid[-3:], 2)
-    return Request((start[0], start[1]), (goal[0], goal[1]), 0.6, sites, 0.0), tuple(drivers)
+    return ItineraryRequest((start[0], start[1]), (goal[0], goal[1]), 0.6, sites, 0.0), tuple(drivers)
 
 
 def along_corridors(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -165,7 +165,7 @@ def _growth(options: Options, buildings: int, progress: Progress) -> list[Figure
 
 
 def _timed(
-    request: Request, announced: tuple[AnnouncedDriver, ...], parameters: ItineraryParameters
+    request: ItineraryRequest, announced: tuple[AnnouncedDriver, ...], parameters: ItineraryParameters
 ) -> tuple[float, Itinerary]:
     began = time.thread_time()
     drivers, _ = usable_drivers(announced, request.now, parameters.rules)

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules
-from hitchhike_ros.planning.itinerary import ItineraryParameters, Point, Request, SoloMetres
+from hitchhike_ros.planning.itinerary import ItineraryParameters, ItineraryRequest, Point, SoloMetres
 
 # A driver at a point of its path: the point, metres along the path, time announced, time if it hurries, time that a
 # pair needs to there from the path's beginning, whether one may board, whether one may leave.
@@ -21,7 +21,10 @@ _Stop = tuple[Point, float, float, float, float, bool, bool]
 
 
 def cheapest(
-    request: Request, drivers: Sequence[AnnouncedDriver], solo_metres: SoloMetres, parameters: ItineraryParameters
+    request: ItineraryRequest,
+    drivers: Sequence[AnnouncedDriver],
+    solo_metres: SoloMetres,
+    parameters: ItineraryParameters,
 ) -> float:
     """Cost of the best itinerary, inf where there is none; arguments as of ``plan_itinerary``."""
     rules, costs = parameters.rules, parameters.costs
@@ -62,7 +65,7 @@ def cheapest(
 
 
 def _stops(
-    driver: AnnouncedDriver, drivers: Sequence[AnnouncedDriver], request: Request, rules: RideRules
+    driver: AnnouncedDriver, drivers: Sequence[AnnouncedDriver], request: ItineraryRequest, rules: RideRules
 ) -> Iterator[_Stop]:
     points = [(request.start, rules.board_anywhere, False), (request.goal, False, rules.leave_anywhere)]
     sites = np.asarray(request.sites, dtype=float)
