@@ -8,21 +8,21 @@ from typing import Literal
 
 from hitchhike_ros.core.datatypes import Twist2D
 
-# Something is held before the lens; images stay away; nothing is sent and nothing heard; somebody steers by joystick.
+# Something covers the lens; no images come; no message is sent or heard; somebody steers by joystick.
 FaultKind = Literal["camera_covered", "camera_silent", "messages_lost", "steered"]
 
 
 @dataclass(frozen=True)
 class Fault:
-    """``kind`` happens to ``robot`` from ``start_s`` until before ``end_s`` of simulated time."""
+    """A fault of ``robot`` from ``start_s`` until before ``end_s`` of simulated time."""
 
     kind: FaultKind
     robot: str
     start_s: float
     end_s: float = math.inf
     twist: Twist2D | None = None
-    """What is steered; None: a stand."""
+    """What the joystick says; None: stand."""
 
     def acts(self, now: float) -> bool:
-        """Whether it is there at ``now``."""
+        """Whether the fault is there at ``now``."""
         return self.start_s <= now < self.end_s

@@ -8,7 +8,7 @@ from hitchhike_ros.protocol.status import ModuleSwitches
 
 SCAN, IMAGE = "scan", "image"
 
-# Who answers which frame, and which switches of P17 Table 3 keep it awake.
+# For each module the frame that it answers, and the switches of P17 Table 3 of which one keeps it on.
 _ANSWERS = {
     "slam": (SCAN, ("LZN", "MAP")),
     "obstacle_avoidance": (SCAN, ("OBS",)),
@@ -19,9 +19,9 @@ _ANSWERS = {
 class Lockstep:
     """Frames that were sent and not yet answered, of all robots.
 
-    A module that has answered since it was switched on is waited for long, so that a loaded machine makes a run slower
-    and not different; one that has not, shortly: it may still be subscribing, or not be there at all. Whoever lets
-    ``patience`` frames in a row go by is not waited for until it answers again.
+    Time waits long for a module that has answered since it was switched on, so that a loaded machine makes a run slower
+    and not different. It waits shortly for one that has not: that may still be subscribing, or not be there at all. It
+    does not wait for a module that has missed ``patience`` frames in a row, until that answers again.
     """
 
     def __init__(self, timeout_s: float = 5.0, join_timeout_s: float = 0.5, patience: int = 3) -> None:
@@ -35,7 +35,7 @@ class Lockstep:
 
     @property
     def waiting_for(self) -> tuple[tuple[str, str], ...]:
-        """(robot, module) of whoever owes an answer."""
+        """Robot and module of each answer that is owed."""
         return tuple(self._awaited)
 
     def waits(self, elapsed_s: float) -> bool:
@@ -45,7 +45,10 @@ class Lockstep:
         )
 
     def set_modules(self, robot: str, modules: ModuleSwitches) -> None:
-        """What is on; a module that is switched on gets the patience of a new one, one that is off owes nothing."""
+        """Take which modules are on.
+
+        One that is switched on gets the patience of a new one, and one that is off owes nothing.
+        """
         on = {name for name, (_, switches) in _ANSWERS.items() if any(getattr(modules, s) for s in switches)}
         for module in on - self._on.get(robot, set()):
             self._missed_in_a_row.pop((robot, module), None)
@@ -55,7 +58,7 @@ class Lockstep:
             del self._awaited[key]
 
     def sent(self, robot: str, sensor: str, stamp: float) -> None:
-        """A frame went out to those modules of the robot that are on."""
+        """A frame has been sent to those modules of the robot that are on."""
         for module in self._on.get(robot, ()):
             if _ANSWERS[module][0] == sensor and self._missed_in_a_row[robot, module] < self._patience:
                 self._awaited[robot, module] = stamp
@@ -70,7 +73,7 @@ class Lockstep:
             del self._awaited[key]
 
     def give_up(self) -> tuple[tuple[str, str], ...]:
-        """Wait no longer: whoever still owes an answer has missed one. They are returned."""
+        """Wait no longer; robot and module of each answer that was still owed, and now counts as missed."""
         late = self.waiting_for
         self._awaited.clear()
         self._missed_in_a_row.update(late)

@@ -37,7 +37,7 @@ class Person:
 
 
 class Walker:
-    """Where a person is on the way."""
+    """A person under way."""
 
     def __init__(self, person: Person) -> None:
         self.person = person

@@ -73,8 +73,9 @@ class _Scalars:
 
 
 def load_world(path: Path | str) -> WorldFile:
-    """A world file, checked; it may change another one (:func:`hitchhike_ros.mapping.sites.read_world`). A relative
-    ``map`` starts at the folder of the file that names it, and ``hitchhiking`` holds for all robots.
+    """Read and check a world file; it may change another one (:func:`hitchhike_ros.mapping.sites.read_world`).
+
+    A relative ``map`` starts at the folder of the file that names it, and ``hitchhiking`` holds for all robots.
 
     Raises:
         WorldFileError: names the file, the field, its value and what was expected.

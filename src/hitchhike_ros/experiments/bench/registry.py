@@ -24,7 +24,7 @@ BENCHMARKS: dict[str, str] = {
     "itineraries": "chains of rides: optimal, and how time grows with the fleet",
     "faults": "fleets on bad networks and with robots that fail",
     "fleet": "up to 1000 robots in one grid world, and when riding pays",
-    "cost": "rides and driving alone with the real nodes, in separate processes and in one (an hour)",
+    "cost": "rides and driving alone with the real nodes, in separate processes and in one (half an hour)",
 }
 """What ``bench`` measures, by name."""
 EXPERIMENTS: dict[str, str] = {

@@ -1,4 +1,4 @@
-"""Where a robot of the grid simulator is at any time: it moves by formula between events, on a path or a trail."""
+"""Where a robot of the grid simulator is: between events it moves by formula, along a path or behind another robot."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.core.geometry import wrap_angle
 from hitchhike_ros.core.polyline import Polyline
 
-# Whoever drives looks along the chord of this much of its path to either side: it rounds corners, not turns at them.
+# A robot that drives looks along the chord of its path from so far behind it to so far ahead: it rounds corners.
 _CHORD_M = 0.5
-# So much of its own trail a robot remembers for those who follow it.
+# A robot remembers so much of its own trail, for those that follow it.
 _TRAIL_M = 12.0
 _TINY_M = 1e-6
 
@@ -37,7 +37,7 @@ class Body:
 
     @property
     def moves(self) -> bool:
-        """Whether it may be somewhere else a moment later."""
+        """Whether it may be elsewhere a moment later."""
         return self._leader is not None or (self._speed > 0.0 and self.odometer_m < self._line.end_m)
 
     @property
@@ -50,29 +50,29 @@ class Body:
 
     @property
     def remaining_m(self) -> float:
-        """What is left of its path."""
+        """How much of its path is left."""
         return self._line.end_m - self.odometer_m
 
     @property
     def leader(self) -> Body | None:
-        """Whose trail it follows."""
+        """The body whose trail it follows."""
         return self._leader
 
     @property
     def sees(self) -> bool:
-        """Whether it saw, when it looked last, whom it follows."""
+        """Whether it saw its leader when it last looked."""
         return self._sees
 
     @property
     def arrives(self) -> float:
-        """When it comes to the end of its path; never, where it stands or follows."""
+        """When it comes to the end of its path; inf while it stands or follows."""
         if self._leader is not None or self._speed <= 0.0 or self.remaining_m <= _TINY_M:
             return math.inf
         return self.time + self.remaining_m / self._speed
 
     @property
     def path(self) -> list[tuple[float, float]]:
-        """What lies before it, itself first."""
+        """The points of the path ahead, from where it is."""
         return [(self.x, self.y), *((x, y) for _, x, y in self._line.corners(self.odometer_m, math.inf))]
 
     @property
@@ -86,7 +86,7 @@ class Body:
         return self._theta
 
     def advance(self, time: float) -> None:
-        """On to ``time``, which is not before that of the last call."""
+        """Move on to ``time``, which is not before that of the last call."""
         passed, self.time = time - self.time, max(time, self.time)
         if passed <= 0.0:
             return
@@ -99,7 +99,7 @@ class Body:
             self._go_to(min(self.odometer_m + self._speed * passed, self._line.end_m))
 
     def drive(self, path: FloatArray, speed_mps: float, end_theta: float | None) -> None:
-        """Along ``path`` (N, 2), which begins here; at its end it looks along ``end_theta``, or as it came."""
+        """Drive along ``path`` (N, 2), which begins here; at its end turn to ``end_theta``, unless that is None."""
         self._forget_future()
         for x, y in path[1:].tolist():
             x0, y0 = self._line.point(self._line.end_m)
@@ -112,22 +112,22 @@ class Body:
             self._theta = None
 
     def set_speed(self, speed_mps: float) -> None:
-        """From now on."""
+        """Drive at this speed from now on."""
         self._speed = speed_mps
 
     def stop(self) -> None:
-        """Stand here, whatever was before."""
+        """Stand here."""
         theta = self.theta
         self._forget_future()
         self._theta, self._speed = theta, 0.0
 
     def turn(self, theta: float) -> None:
-        """Stand here and look along ``theta``."""
+        """Stand here and turn to ``theta``."""
         self.stop()
         self._theta = theta
 
     def follow(self, leader: Body, lag_m: float, top_speed_mps: float) -> None:
-        """Up to ``lag_m`` behind ``leader``, straight to where it is now and from there on its trail."""
+        """Follow ``leader`` at ``lag_m``: straight to where it is now, and from there along its trail."""
         self.stop()
         self._leader, self._lag_m, self._top_speed = leader, lag_m, top_speed_mps
         self._joined_m = math.hypot(leader.x - self.x, leader.y - self.y)
@@ -136,7 +136,7 @@ class Body:
         self._straight = (self.x, self.y), (leader.x, leader.y)
 
     def look(self, sees: bool) -> None:
-        """Whether it sees now whom it follows; where it does not, it goes as far as it has seen the other go."""
+        """Take whether it sees its leader now. Where it does not, it goes as far as it has seen the leader go."""
         self._sees = sees
         leader = self._leader
         if sees and leader is not None:
@@ -145,16 +145,16 @@ class Body:
                 self._theta = math.atan2(leader.y - self.y, leader.x - self.x)
 
     def point(self, s: float) -> tuple[float, float]:
-        """Where it was, or will be, when the odometer says ``s``; as far as it remembers."""
+        """The place where its odometer says ``s``, as far as it remembers."""
         return self._line.point(s)
 
     def _target_m(self) -> float:
-        """On the own odometer, how far it may go behind its leader."""
+        """How far it may go behind its leader, on its own odometer."""
         gone = self._seen_m - self._leader_began
         return max(self._follow_began + self._joined_m + gone - self._lag_m, self.odometer_m)
 
     def _creep(self, s: float) -> None:
-        """On along the leader's trail, and leave the same trail."""
+        """Go on along the leader's trail, and leave the same trail."""
         leader, began = self._leader, self._follow_began
         assert leader is not None
         if s <= self.odometer_m:
@@ -185,17 +185,17 @@ class Body:
         self._prune()
 
     def _forget_future(self) -> None:
-        """What lies ahead is another matter from here on."""
+        """Forget what lies ahead: from here on the path is another one."""
         self._line.forget_after(self.odometer_m)
         self._leader, self._sees = None, False
 
     def _prune(self) -> None:
-        """Forget what is farther back than anybody follows; not at every step."""
+        """Forget what is farther back than anybody follows, but not at every step."""
         if self.odometer_m - self._line.start_m > 2.0 * _TRAIL_M:
             self._line.forget_before(self.odometer_m - _TRAIL_M)
 
     def _heading(self) -> float:
-        """Along the chord of the path around here."""
+        """The direction of the chord of its path around here."""
         back, ahead = max(self.odometer_m - _CHORD_M, self._leg_began), self.odometer_m + _CHORD_M
         (x0, y0), (x1, y1) = self.point(back), self.point(ahead)
         if math.hypot(x1 - x0, y1 - y0) < _TINY_M:

@@ -21,9 +21,9 @@ from hitchhike_ros.protocol.phase import Phase
 from hitchhike_ros.simulation.grid.robot import GridRobot
 from hitchhike_ros.simulation.grid.world import GridWorld
 
-# Told apart by the colour-blind too (Okabe and Ito).
+# The colour-blind can tell these apart too (Okabe and Ito).
 _ALONE, _DRIVER, _RIDER, _SEEKER, _IDLE, _DEAD = "#56B4E9", "#0072B2", "#D55E00", "#E69F00", "#999999", "#000000"
-# Rides next to each other are told apart by these.
+# Colours of rides, so that those next to each other differ.
 _PAIRS = ("#CC79A7", "#009E73", "#0072B2", "#E69F00", "#D55E00", "#56B4E9")
 _SITE, _WALL = "#F0E442", "0.72"
 _KINDS = {
@@ -35,7 +35,7 @@ _KINDS = {
     "dead": (_DEAD, "crashed"),
 }
 _WIDTH_IN, _LEFT_IN, _RIGHT_IN, _TOP_IN, _BOTTOM_IN = 12.0, 0.6, 0.15, 0.4, 0.85
-# Up to so many robots have their names beside them, and as many their paths.
+# With up to so many robots their names are written beside them, and their paths are drawn.
 _NAMED, _WITH_PATHS = 12, 30
 
 
@@ -61,7 +61,7 @@ class Frame:
 
 
 def frame(world: GridWorld) -> Frame:
-    """The state now."""
+    """All robots as they are now."""
     robots = list(world.robots.values())
     for robot in robots:
         robot.body.advance(world.now)
@@ -77,7 +77,7 @@ def frame(world: GridWorld) -> Frame:
 
 
 class Recorder:
-    """Keeps a frame of a running world every ``period_s``, from now on, as long as something happens in it."""
+    """Keeps a frame of a running world every ``period_s``, as long as something happens in it."""
 
     def __init__(self, world: GridWorld, period_s: float) -> None:
         self.frames: list[Frame] = []
@@ -151,7 +151,7 @@ def _canvas(world: GridWorld) -> tuple[Figure, Axes]:
 
 
 def _draw_frame(axes: Axes, shown: Frame, title: str) -> list:
-    """What moves; the artists, to be taken away again."""
+    """Draw what moves; the artists, so that they can be removed again."""
     robots = shown.robots
     size = float(np.interp(len(robots), [10, 1000], [90.0, 12.0]))
     artists: list = []

@@ -30,9 +30,9 @@ Point = tuple[float, float]
 # Boxes that a robot knows, by their ids in alphabetical order.
 Known = tuple[str, ...]
 
-# A robot that finds itself nearer to an obstacle than it may drive looks so far for a way out (chosen).
+# A robot that is nearer to an obstacle than it may drive looks so far for a way out (chosen).
 _WAY_OUT_M = 1.5
-# So many searches are kept, at 4 MB each on the map of P18 §8.1.
+# How many searches are kept; each takes 4 MB on the map of P18 §8.1.
 _SEARCHES = 160
 
 
@@ -61,11 +61,11 @@ class GridPaths:
             raise ValueError(f"grid is turned by {grid.origin.theta} rad, expected 0")
 
     def add_box(self, box: Obstacle) -> None:
-        """A box that somebody has told of, which need not stand anywhere."""
+        """Take in a box that some robot knows; it need not stand anywhere."""
         self.boxes.setdefault(box.id, box)
 
     def cell(self, x: float, y: float) -> Cell:
-        """Row and column; they may be out of bounds."""
+        """Row and column of a point; they may be out of bounds."""
         r = self._resolution
         return math.floor((y - self._origin[1]) / r + 1e-9), math.floor((x - self._origin[0]) / r + 1e-9)
 
@@ -110,7 +110,7 @@ class GridPaths:
         return found
 
     def free(self, at: Point) -> bool:
-        """Whether a robot may be there, for all that is in the map."""
+        """Whether the map lets a robot be there."""
         row, column = self.cell(*at)
         inside = 0 <= row < self.grid.height and 0 <= column < self.grid.width
         return inside and math.isfinite(self._cost(())[row, column])
@@ -122,7 +122,7 @@ class GridPaths:
         return np.asarray(labels == counts.argmax())
 
     def sees(self, a: Point, b: Point) -> bool:
-        """Whether no wall and no box is on the straight line between two points."""
+        """Whether the straight line between two points meets no wall and no box."""
         apart = math.dist(a, b)
         row, column = self.cell(*a)
         height, width = self._free_m.shape
@@ -138,7 +138,7 @@ class GridPaths:
         return bool(inside.all()) and not self._solid[cells[:, 1], cells[:, 0]].any()
 
     def sees_box(self, at: Point, box: Obstacle) -> bool:
-        """Whether the box's nearest edge is in sight, which itself is in the way of everything behind it."""
+        """Whether the nearest edge of the box can be seen; the box hides what is behind that edge."""
         nearest = _nearest(at, box)
         apart = math.dist(at, nearest)
         before = 1.0 - min(1.0, 1.5 * self._resolution / apart) if apart else 0.0
@@ -159,7 +159,7 @@ class GridPaths:
         return cells if leaves else cells[1:]
 
     def _metres_from(self, cell: Cell, search: _Search, known: Known) -> float:
-        """What no path has told yet; from a cell where a robot may not be, by the way out."""
+        """The length from a cell that is on no path so far; from one where a robot may not be, by the way out."""
         if not math.isnan(told := search.metres[cell]):
             return float(told)  # by the path from a source before this one
         if (beside := search.metres_beside(cell)) is not None:
@@ -175,7 +175,7 @@ class GridPaths:
         return float(search.metres[cell])
 
     def _search(self, goal: Point, known: Known) -> _Search:
-        """That to ``goal``; raises OutsideMapError and GoalBlockedError as :meth:`plan`."""
+        """The search to ``goal``; raises OutsideMapError and GoalBlockedError as :meth:`plan`."""
         to_cell = self._on_map("goal", goal)
         search = self._searches.get((known, to_cell))
         if search is None:
@@ -201,7 +201,7 @@ class GridPaths:
         raise OutsideMapError(f"{name} ({point[0]:.2f}, {point[1]:.2f}) is not on the map")
 
     def _cost(self, known: Known) -> CostArray:
-        """1 where a robot may be, infinite elsewhere."""
+        """Costs of all cells: 1 where a robot may be, inf elsewhere."""
         cost = self._costs.get(known)
         if cost is None:
             blocked = self._obstacles if not known else self._with_boxes(known)
@@ -236,7 +236,7 @@ class _Search:
         self._planned = np.zeros(cost.shape, dtype=bool)  # cells of paths
 
     def cells(self, start: Cell) -> CellArray:
-        """From ``start`` to the goal, (N, 2); none where there is no way."""
+        """The cells (N, 2) from ``start`` to the goal; none where there is no way."""
         found = self._dstar.move(start) if self._begun else self._dstar.plan(start, self._goal)
         self._begun = True
         cells = found.cells
@@ -250,7 +250,7 @@ class _Search:
         return cells
 
     def metres_beside(self, cell: Cell) -> float | None:
-        """By way of the best cell beside this one on a path that was planned; None where there is none."""
+        """The length by the best neighbour that is on a path planned before; None where none is."""
         rows, columns = (slice(max(k - 1, 0), k + 2) for k in cell)
         planned = self._planned[rows, columns]
         if not planned.any():
@@ -270,7 +270,7 @@ def corners(path: FloatArray) -> FloatArray:
 
 
 def distance_to_box(at: Point, box: Obstacle) -> float:
-    """In m; 0 inside."""
+    """The distance of a point to a box in m; 0 inside."""
     return math.dist(at, _nearest(at, box))
 
 

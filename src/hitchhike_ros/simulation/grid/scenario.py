@@ -88,16 +88,16 @@ class Scenario:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def parameters(self, robot: ScenarioRobot, marker_id: int) -> HitchhikingParameters:
-        """Of one robot."""
+        """The parameters of one robot."""
         merged = {"marker_id": marker_id, **self.hitchhiking, **robot.hitchhiking}
         return convert(merged, HitchhikingParameters, self.path, "hitchhiking", WorldFileError)
 
     def seeded(self, seed: int) -> Scenario:
-        """The same with other luck: of the network, of noise and of the fleet."""
+        """The same scenario with another seed of the network, the noise and the fleet."""
         return replace(self, network=replace(self.network, seed=seed), world=replace(self.world, seed=seed))
 
     def sized(self, robots: int) -> Scenario:
-        """The same with a fleet of so many."""
+        """The same scenario with a fleet of so many."""
         if self.fleet is None:
             raise WorldFileError(self.path, "fleet", None, "a fleet")
         return replace(self, fleet=replace(self.fleet, robots=robots))
@@ -108,7 +108,7 @@ class Scenario:
         hitchhiking: Mapping[str, Any] | None = None,
         robots: Mapping[str, ScenarioRobot] | None = None,
     ) -> Scenario:
-        """The same but for these values."""
+        """The same scenario with these values in place of its own."""
         return replace(
             self,
             network=replace(self.network, **(network or {})),
@@ -124,7 +124,7 @@ class _Scalars:
 
 
 def load_scenario(path: Path | str) -> Scenario:
-    """A scenario file, checked; relative paths in it start at its folder.
+    """Read and check a scenario file; relative paths in it start at its folder.
 
     Raises:
         WorldFileError: names the file, the field, its value and what was expected.
@@ -179,7 +179,7 @@ def load_scenario(path: Path | str) -> Scenario:
 
 
 def build(scenario: Scenario, **world: Any) -> GridWorld:
-    """The world of a scenario with all its robots, at time 0; ``world`` changes its parameters.
+    """Build the world of a scenario with all its robots, at time 0; ``world`` changes its parameters.
 
     Raises:
         WorldFileError: a robot stands, or is wanted, where none may be, or the map has not enough room for the fleet.
@@ -202,7 +202,7 @@ def build(scenario: Scenario, **world: Any) -> GridWorld:
 
 
 def _add_fleet(world: GridWorld, scenario: Scenario, fleet: Fleet) -> None:
-    """Places first, so that two fleets of different sizes go to the same; each robot has luck of its own."""
+    """Draw places first, so that fleets of two sizes go to the same ones; each robot has a seed of its own."""
     places = _places(world, scenario, fleet)
     for k in range(fleet.robots):
         luck = random.Random(f"{world.params.seed} {k}")
@@ -245,7 +245,7 @@ def _next_place(
     fleet: Fleet,
     luck: random.Random,
 ) -> tuple[float, float]:
-    """One that is as far away as trips are, by the way that robots go, or the next best."""
+    """A place that is as far away as trips are, by the way that robots go, or else the next best."""
     candidates = [place for place in places if place != here]
     luck.shuffle(candidates)
     for place in candidates:
