@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -255,9 +256,11 @@ def test_totals() -> None:
     assert totals([]) == []
 
 
-def run_awards(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+def run_awards(monkeypatch: pytest.MonkeyPatch, *arguments: object, status: int | None = None) -> None:
     monkeypatch.setattr(sys, "argv", ["awards", *map(str, arguments)])
-    awards.main()
+    with pytest.raises(SystemExit) as end:
+        awards.main()
+    assert end.value.code == status
 
 
 def test_awards_shows_totals_and_rides(
@@ -283,14 +286,18 @@ def test_awards_reads_the_ledger_in_ros_home(
     ledger: AwardLedger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
-    with pytest.raises(SystemExit, match=r"awards: .*hitchhike_awards.sqlite is 'missing', expected an existing file"):
-        run_awards(monkeypatch)
+    run_awards(monkeypatch, status=1)
+    said = capsys.readouterr().err
+    assert re.match(r"awards: .*hitchhike_awards.sqlite is 'missing', expected an existing file", said)
     AwardLedger(tmp_path / "hitchhike_awards.sqlite").check()
     run_awards(monkeypatch)
     assert capsys.readouterr().out == "No rides.\n"
 
 
-def test_awards_refuses_what_is_no_ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_awards_refuses_what_is_no_ledger(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     _text(tmp_path / "notes.txt")
-    with pytest.raises(SystemExit, match=r"awards: .*notes.txt is .*, expected an award ledger of hitchhike_ros"):
-        run_awards(monkeypatch, tmp_path / "notes.txt")
+    run_awards(monkeypatch, tmp_path / "notes.txt", status=1)
+    said = capsys.readouterr().err
+    assert re.match(r"awards: .*notes.txt is .*, expected an award ledger of hitchhike_ros", said)
