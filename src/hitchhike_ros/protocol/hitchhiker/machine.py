@@ -203,10 +203,10 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         facts.asking = Asking(self.params, facts.now, facts.window_s, facts.whom, self.ending)
 
     def _repeat_request(self) -> None:
-        if not self._every(self.params.request_period_s, "request"):
-            return
         estimate, goal = self.facts.situation.estimate, self.facts.goal
-        assert estimate is not None and goal is not None
+        if estimate is None or not self._every(self.params.request_period_s, "request"):
+            return
+        assert goal is not None
         self._send(
             Request(
                 robot_id=self.robot_id,

@@ -22,17 +22,15 @@ from hitchhike_ros.protocol.reasons import Reason
 # Guards.
 
 
-def knows_its_place(f: Facts) -> bool:
-    return f.situation.estimate is not None
-
-
 def first_come_first_served(f: Facts) -> bool:
     """P17; in a network (P18) all offers are heard first."""
     return f.params.mode == "local"
 
 
 def has_heard_enough(f: Facts) -> bool:
-    return f.params.mode == "network" and knows_its_place(f) and f.asking.heard_enough(f.now, f.neighbours)
+    """All drivers, from where the hitchhiker knows that it is."""
+    located = f.situation.estimate is not None
+    return f.params.mode == "network" and located and f.asking.heard_enough(f.now, f.neighbours)
 
 
 def has_a_good_offer(f: Facts) -> bool:
@@ -187,8 +185,7 @@ _LEAVE_OFFERS = ("_report_ending", "_cancel_offers", "_request_anew")
 _CALL_OFF = ("_tell_driver", *_REQUEST_ANEW)
 
 ASKING = (
-    Row((S.IDLE,), GoalGiven, ("_take_goal", "_request_anew", "_repeat_request"), S.REQUESTING, (knows_its_place,)),
-    Row((S.IDLE,), GoalGiven, ("_take_goal", "_request_anew"), S.REQUESTING),
+    Row((S.IDLE,), GoalGiven, ("_take_goal", "_request_anew", "_repeat_request"), S.REQUESTING),
     Row((S.REQUESTING,), Accept, ("_take_offer", "_repeat_lock"), S.LOCKING, (first_come_first_served,)),
     Row((S.REQUESTING,), Accept, "_note_offer"),
     Row((S.REQUESTING,), Deny, "_note_denial"),
@@ -197,7 +194,7 @@ ASKING = (
     Row((S.REQUESTING,), Tick, ("_take_best_offer", "_repeat_lock"), S.LOCKING, (has_a_good_offer,)),
     Row((S.REQUESTING,), Tick, _END_REQUEST, S.IDLE, (has_heard_enough, has_offers), Reason.ALONE_IS_BETTER),
     Row((S.REQUESTING,), Tick, ("_add_denial", "_finish"), S.IDLE, (has_heard_enough,), Reason.DRIVER_NOT_FOUND),
-    Do((S.REQUESTING,), "_repeat_request", (knows_its_place,)),
+    Do((S.REQUESTING,), "_repeat_request"),
     Row(
         *((S.REQUESTING,), Deadline(max_wait, first_request), ("_add_denial", *_END_REQUEST), S.IDLE),
         why=Reason.DRIVER_NOT_FOUND,
