@@ -231,7 +231,8 @@ class ObstacleAvoidance:
         """When there is to be a decision on the scan that waits, if there is one."""
         if self._scan is None:
             return math.inf
-        return self._decide_by if self._awaits_poses and not self._located(self._scan) else now
+        waits = self._awaits_poses and not self._located(self._scan) and not self._odometry_trouble(self._scan.stamp)
+        return self._decide_by if waits else now
 
     # Decisions.
 
@@ -255,7 +256,7 @@ class ObstacleAvoidance:
         return scan
 
     def _drive(self, goal: GoalCommand, status: Status, scan: LaserScan, now: float) -> None:
-        self._awaits_poses &= self._located(scan)
+        self._awaits_poses &= self._located(scan) or bool(self._odometry_trouble(scan.stamp))
         if self._arrived(goal):
             self._say(self._report, Level.OK, Twist2D())
             return
@@ -314,6 +315,12 @@ class ObstacleAvoidance:
         """Whether the pose at the scan's stamp, or a later one, has come."""
         return self._estimate is not None and self._estimate.stamp >= scan.stamp - _STAMP_TOLERANCE_S
 
+    def _odometry_trouble(self, stamp: float) -> str:
+        """Why no pose would help at a scan's stamp, as far as that is known; empty: none that is known."""
+        if self._odometry and not abs(stamp - self._odometry.newest.stamp) <= self._params.max_age_s:
+            return f"odometry is more than {self._params.max_age_s} s off the scan"
+        return self._odometry_problem
+
     def _pose_at(self, stamp: float) -> Pose2D:
         """The pose in ``map`` at a scan's stamp.
 
@@ -321,12 +328,10 @@ class ObstacleAvoidance:
             SensorDataError: pose or odometry is missing, old or senseless.
         """
         estimate, max_age_s = self._estimate, self._params.max_age_s
-        if self._odometry_problem:
-            raise SensorDataError(self._odometry_problem)
+        if trouble := self._odometry_trouble(stamp):
+            raise SensorDataError(trouble)
         if not self._odometry:
             raise SensorDataError("no odometry")
-        if not abs(stamp - self._odometry.newest.stamp) <= max_age_s:
-            raise SensorDataError(f"odometry is more than {max_age_s} s off the scan")
         if estimate is None:
             raise SensorDataError(self._pose_problem or "no pose")
         if not abs(stamp - estimate.stamp) <= max_age_s:

@@ -389,6 +389,15 @@ def test_a_pose_that_does_not_come_is_awaited_once(its: ObstacleAvoidance) -> No
     assert hear(its, 10.3, odometry(10.3), scan(10.3)) is None  # now they come again
 
 
+@pytest.mark.parametrize("trouble", [Refused(Odometry, "not finite"), None])
+def test_no_pose_is_awaited_that_would_not_help(its: ObstacleAvoidance, trouble: Refused | None) -> None:
+    now = 10.1 if trouble else 10.0 + MAX_AGE_S + 0.05  # odometry has not come since 10.0
+    hear(its, now, *([trouble] if trouble else []), pose(now - 0.1))
+    outputs = hear(its, now, scan(now))
+    assert (outputs.answered, outputs.command) == (now, STAND)
+    assert hear(its, now + 0.1, odometry(now + 0.1), scan(now + 0.1)) is None  # that one is waited for again
+
+
 def test_a_newer_scan_takes_the_place_of_one_that_waits_but_waits_no_longer(its: ObstacleAvoidance) -> None:
     hear(its, 10.1, odometry(10.1), scan(10.1))
     assert hear(its, 10.17, scan(10.17)) is None
