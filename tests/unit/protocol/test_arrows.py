@@ -125,6 +125,8 @@ def begin_hitchhiker(mode: Mode) -> HitchhikerMachine:
 def shape_of_hitchhiker(machine: HitchhikerMachine) -> Hashable:
     if machine.state is HitchhikerState.REQUESTING:
         return len(machine.facts.asking.offers)
+    if machine.state is HitchhikerState.AWAITING_ALIGNED:
+        return machine.way is not None, machine.facts.rendezvous.there_is_no_way(math.inf)
     return hasattr(machine.facts, "ride") and machine.facts.ride.silent(machine.facts.now)
 
 
