@@ -315,7 +315,7 @@ class Slam:
                 self._say(Level.WARN, f"no initial pose yet{why}")
                 return
             if self._may_leave_out(scan.stamp, now):
-                if not 0.0 <= scan.stamp - self._told_at < self._params.rest_pose_period_s:
+                if scan.stamp - self._told_at >= self._params.rest_pose_period_s:
                     self._tell_pose(self._localizer.estimate_at(scan.stamp), said)
                 return
             used = self._localizer.update_scan(scan)

@@ -538,6 +538,15 @@ def test_a_scan_after_silence_is_worked_on() -> None:
     assert rig.worked_on() == [0.1, 0.7]
 
 
+def test_after_a_pause_the_first_scan_is_worked_on() -> None:
+    rig = standing()
+    scans(rig, TENTHS[:2])
+    rig.order(status(OFF), 0.25)
+    rig.order(status(), 0.25)
+    scans(rig, TENTHS[2:4])
+    assert rig.worked_on() == [0.1, 0.3, 0.4]  # no odometry has come that says that it stands
+
+
 def test_a_robot_without_orders_does_not_rest() -> None:
     rig = standing()
     scans(rig, [0.1])
@@ -577,6 +586,7 @@ def test_off_the_last_transform_is_repeated_and_holds_until_it_is_repeated_again
         assert due == now + PARAMS.repeat_period_s
         outputs = rig.drain(due)
         assert outputs.T_map_odom == (due + PARAMS.repeat_holds_s, T_map_odom)
+        assert rig.slam.next_due(due) < due + PARAMS.repeat_holds_s
         assert (outputs.pose, outputs.health.reason) == (None, "off")
         now = due
 
@@ -598,6 +608,12 @@ def test_boxes_are_told_when_they_have_changed_and_not_too_often() -> None:
     assert said[2].grid is not None
     assert said[2].grid.data.sum() > GRID.data.sum()
     assert said[1].grid is None
+
+
+def test_a_box_that_is_gone_is_told_too() -> None:
+    rig = Rig()
+    rig.boxes.finds = [(BOX,), ()]
+    assert [rig.scan(stamp).boxes for stamp in (1.0, 2.0)] == [FoundObstacles((BOX,)), FoundObstacles(())]
 
 
 def test_boxes_that_a_driver_hands_over_are_told_at_once_and_once() -> None:

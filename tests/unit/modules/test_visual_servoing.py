@@ -80,7 +80,7 @@ class Rig:
             self.tracker,
             images.T_BASE_CAMERA,
             FollowLaw(FollowParameters(), TURTLEBOT, CAMERA_X) if law is None else law or None,
-            SafetyLimiter(TURTLEBOT, Pose2D()),
+            options.pop("limiter", SafetyLimiter(TURTLEBOT, Pose2D())),
             alone=alone,
             **options,
         )
@@ -184,6 +184,23 @@ def test_switched_on_it_waits_for_images() -> None:
 def test_it_stops_the_robot_when_it_follows_no_more(next_order: ServoCommand | None) -> None:
     [outputs] = following().order(next_order, 0.95)
     assert outputs.command == STAND
+
+
+def test_switched_off_it_says_so() -> None:
+    for order in (FOLLOW, OBSERVE):
+        rig = Rig()
+        rig.order(order, 0.0)
+        [outputs] = rig.order(None, 1.0)
+        assert (outputs.health.level, outputs.health.reason) == (Level.OK, "off")
+        assert outputs.command == (STAND if order is FOLLOW else None)
+
+
+def test_another_task_is_done_with_the_same_camera() -> None:
+    rig = following()
+    rig.order(OBSERVE, 0.95)
+    assert rig.ride(1.0, 1.0)[0].health.reason == "observing"
+    rig.order(FOLLOW, 1.05)
+    assert rig.ride(1.1, 1.1)[0].health.reason == "following"
 
 
 def test_an_order_that_is_repeated_changes_nothing() -> None:
@@ -331,6 +348,10 @@ def test_the_size_of_the_marker_is_the_orders() -> None:
     assert rig.ride(0.0, 0.0)[0].health.counters["gap_m"] == pytest.approx(1.6, abs=0.03)
 
 
+def test_how_an_image_fared_is_said_as_visp_auto_tracker_says_it() -> None:
+    assert {view.name: int(view) for view in View} == {"NO_IMAGE": 0, "SEEKING": 1, "SEEN": 3}
+
+
 # Which images it leaves out.
 
 
@@ -396,6 +417,14 @@ def test_it_leaves_an_image_out_only_while_it_follows_steadily(decision: FollowD
     rig.module.sense(images.CAMERA, 0.0)
     rig.ride(0.0, 0.1)
     assert rig.looked_at == ([0.0] if steady else [0.0, 0.1])
+
+
+def test_without_a_laser_images_are_left_out_as_well() -> None:
+    rig = Rig(law=Decided(STEADY), limiter=None)
+    rig.order(FOLLOW, 0.0)
+    rig.module.sense(images.CAMERA, 0.0)
+    assert rig.ride(0.0, 0.1)[0].health.counters["braked_for_an_obstacle"] is False
+    assert rig.looked_at == [0.0]
 
 
 def test_an_image_after_one_without_the_marker_is_looked_at() -> None:
@@ -605,6 +634,9 @@ def test_a_camera_that_is_nowhere_is_where_the_base_is_and_looks_ahead() -> None
     assert seen is not None
     assert seen.markers[0].pose.x == pytest.approx(0.8, abs=0.02)
     assert seen.markers[0].pose.y == pytest.approx(0.0, abs=0.02)
+    right, down, ahead = module._T_base_camera[:3, :3].T.tolist()
+    assert (right, down, ahead) == ([0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0])
+    assert module._T_base_camera[:, 3].tolist() == module._T_base_camera[3].tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 def test_a_robot_that_is_described_without_a_camera_is_refused() -> None:
