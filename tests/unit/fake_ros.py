@@ -95,6 +95,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> FakeRos:
         "signal_shutdown": fake.shut_down.append,
         "logwarn": lambda text, *args: fake.warnings.append(text % args),
         "logerr": lambda text, *args: fake.warnings.append(text % args),
+        "logfatal": lambda text, *args: fake.warnings.append(text % args),
         "loginfo": lambda *_: None,
     }
     for name, replacement in replacements.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
@@ -264,7 +265,8 @@ class ModuleHost:
             rospy.logwarn("%s from %s refused: %s", topic, sender, text)
 
     def _stop(self, exc: Exception) -> None:
-        """Nothing that this node drives moves on, and its diagnosis says why."""
+        """Nothing that this node drives moves on; its diagnosis and its log say why."""
+        rospy.logfatal("%s", "".join(traceback.format_exception(exc)))
         for outlet, publisher in self._publishers.items():
             if outlet.cls is Twist:
                 publisher.publish(Twist())

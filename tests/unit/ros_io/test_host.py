@@ -225,6 +225,7 @@ def test_an_exception_in_a_step_stops_the_robot_is_said_and_ends_the_node(
     assert not node._thread.is_alive()
     assert [msg.linear.x for msg in ros.published["cmd_vel/navigation"]] == [0.0]
     assert ros.said("echo")[:2] == (Level.ERROR, "ended by ZeroDivisionError: a fault of the module")
+    assert "ZeroDivisionError: a fault of the module" in ros.warnings[0]
     assert ros.shut_down
     assert node.failure is not None
     assert raised == [node.failure]

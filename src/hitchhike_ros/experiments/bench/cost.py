@@ -35,8 +35,8 @@ Way = Literal["ridden", "alone"]
 
 MOST_LATE = 0.02
 """With a greater share of late steps a run is repeated (design §6)."""
-# A ride by driving alone, with one process on both sides; one process by separate nodes, alone, as a rider, and in memory
-# (chosen).
+# Chosen. A ride by driving alone, with one process on both sides; one process by separate nodes: alone, as a rider, and
+# in memory.
 _MAX_RIDE_IN_ONE, _MAX_ALONE, _MAX_RIDER, _MAX_PSS = 0.30, 0.8, 0.6, 0.5
 _ROUNDS, _QUICK_ROUNDS = 5, 1
 _TRIES = 4  # of one run, before its round is given up
