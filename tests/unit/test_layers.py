@@ -17,7 +17,9 @@ PACKAGE = Path(__file__).resolve().parents[2] / "src" / "hitchhike_ros"
 
 CORE = ("core",)
 NAVIGATION = (*CORE, "mapping", "planning", "localization", "control", "servoing", "servoing/tag_cells")
-ROBOT = (*NAVIGATION, "protocol", "modules")
+ROLES = ("protocol/driver", "protocol/hitchhiker")  # which never import each other
+PROTOCOL = ("protocol", *ROLES)
+ROBOT = (*NAVIGATION, *PROTOCOL, "modules")
 SIMULATION = (
     *(*ROBOT, "simulation", "simulation/physics", "simulation/grid", "simulation/composed"),
     *("simulation/people", "simulation/world_file", "simulation/radio", "simulation/lockstep", "simulation/frames"),
@@ -35,20 +37,21 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "control": (*CORE, "mapping"),
     "servoing": (*CORE, "servoing/tag_cells"),
     "servoing/tag_cells": CORE,
-    "protocol": (*CORE, "mapping", "planning", "localization"),
-    "modules": (*NAVIGATION, "protocol"),
+    "protocol": (*CORE, "mapping", "planning", "localization", *ROLES),
+    **dict.fromkeys(ROLES, (*CORE, "mapping", "planning", "localization", "protocol")),
+    "modules": (*NAVIGATION, *PROTOCOL),
     "simulation": CORE,
     "simulation/people": CORE,
-    "simulation/world_file": (*CORE, "mapping", "protocol", "simulation/people"),
-    "simulation/lockstep": ("protocol",),
-    "simulation/frames": (*CORE, "protocol", "simulation/lockstep"),
+    "simulation/world_file": (*CORE, "mapping", *PROTOCOL, "simulation/people"),
+    "simulation/lockstep": PROTOCOL,
+    "simulation/frames": (*CORE, *PROTOCOL, "simulation/lockstep"),
     "simulation/radio": CORE,
     "simulation/physics": (*CORE, "mapping", "servoing/tag_cells", "simulation/people", "simulation/world_file"),
-    "simulation/grid": (*CORE, "mapping", "planning", "protocol", "simulation/radio"),
+    "simulation/grid": (*CORE, "mapping", "planning", *PROTOCOL, "simulation/radio"),
     "simulation/composed": (*ROBOT, "simulation", "simulation/physics", "simulation/people", "simulation/world_file"),
     # Each room imports those before it; faults are about the protocol, and import no other room.
     **{room: (*SIMULATION, *ROOMS[:place]) for place, room in enumerate(ROOMS)},
-    "experiments/faults": (*CORE, "mapping", "protocol", "simulation/grid", "simulation/radio"),
+    "experiments/faults": (*CORE, "mapping", *PROTOCOL, "simulation/grid", "simulation/radio"),
     "experiments": (),
     "ros_io": ROBOT,
     "nodes/robot": ROS_IO,
@@ -156,6 +159,7 @@ def test_every_file_has_a_room() -> None:
         ("hitchhike_ros.simulation.x", "def f():\n    from geometry_msgs.msg import Twist"),
         ("hitchhike_ros.control.x", "from hitchhike_ros.simulation.physics.world import World"),
         ("hitchhike_ros.control.x", "from ..simulation import world_file"),
+        ("hitchhike_ros.protocol.driver.x", "from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState"),
         ("hitchhike_ros.core.x", "from hitchhike_ros import mapping"),
         ("hitchhike_ros.nodes.robot.x", "from hitchhike_ros.simulation.world_file import WorldFile"),
         ("hitchhike_ros.nodes.sim.x", "import pybullet as p"),
