@@ -15,6 +15,8 @@ from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive
 from hitchhike_ros.core.errors import ItineraryInputError
 
 _FARTHEST_M = 1e6  # beyond the largest map: sums of squares of whatever is nearer stay exact enough
+# Of a segment's length: a site so near a node is at it, or rounding would say which way the driver goes on from there.
+_SHARE_DECIMALS = 9
 
 IndexArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -241,7 +243,7 @@ def _passed(
     square = (along**2).sum(axis=0)
     offset = places.T[:, :, None] - begin  # (2, P, segments)
     fraction = (offset[0] * along[0] + offset[1] * along[1]) / np.where(square > 0, square, 1.0)
-    fraction = np.clip(fraction, 0.0, 1.0)
+    fraction = np.round(np.clip(fraction, 0.0, 1.0), _SHARE_DECIMALS)
     offset -= fraction * along
     near = joined & (np.hypot(offset[0], offset[1]) <= tolerance_m)
     # Nearest within a segment; at a node that one segment comes nearer to and the next one leaves; at either end.

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
@@ -233,6 +233,16 @@ def test_a_path_passes_a_site_once_each_time_it_comes_by():
         assert rides.points[rides.at] == pytest.approx(np.repeat(site, 3, axis=0))
 
 
+@pytest.mark.parametrize("beside_m", [-1e-12, 0.0, 1e-12])
+def test_a_site_at_a_corner_is_one_where_the_driver_goes_on_as_after_the_corner(beside_m: float):
+    """A corner that a sum of cells gives differs from the site in the file by rounding."""
+    path = np.array([[24.0, 12.0], [0.0, 24.0], [12.0, 48.0]])
+    site = np.array([[0.0, 24.0 + beside_m, 0.0]])
+    rides = possible_rides([driver("d", path)], site, np.array([24.0, 0.0]), np.array([24.0, 60.0]), RULES)
+    assert rides.points[rides.at] == pytest.approx(site[:, :2])
+    assert rides.metres == pytest.approx([math.hypot(12, 24)])
+
+
 def test_a_driver_that_stands_somewhere_does_not_hurry_from_there():
     path, times = np.array([[-20.0, 0.0], [-10.0, 0.0], [-10.0, 0.0], [40.0, 0.0]]), np.array([0.0, 20.0, 30.0, 130.0])
     coming = AnnouncedDriver("d", path, times, safe_speed_mps=1.0)
@@ -256,6 +266,7 @@ def test_a_way_that_only_a_driver_knows():
 
 
 @given(SEEDS)
+@example(758680826)  # boards at a site with a heading, at a corner of the driver's path
 @settings(max_examples=100)
 def test_no_itinerary_is_cheaper(seed):
     asked, drivers, parameters = small_fleet(seed)

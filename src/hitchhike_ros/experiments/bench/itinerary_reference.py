@@ -122,7 +122,7 @@ def _passages(driver: AnnouncedDriver, point: Point, tolerance_m: float) -> Iter
         share = 0.0
         if length > 0:
             share = ((point[0] - a[0]) * (b[0] - a[0]) + (point[1] - a[1]) * (b[1] - a[1])) / length**2
-            share = min(1.0, max(0.0, share))
+            share = round(min(1.0, max(0.0, share)), 9)  # a point at a node but for rounding is at the node
         nearest.append((math.dist(point, (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))), share))
     for i, (distance, share) in enumerate(nearest):
         comes_nearer_after = i + 1 < len(nearest) and nearest[i + 1][1] > 0
