@@ -17,6 +17,7 @@ import msgspec
 from hitchhike_ros.core.datatypes import NonNegative, Positive, Twist2D
 
 Key = Literal["forward", "back", "left", "right", "stop", "faster", "slower", "release", "quit"]
+Rate = Annotated[float, msgspec.Meta(gt=0, le=100)]
 Index = Annotated[int, msgspec.Meta(ge=0)]
 
 _KEYS: dict[Key, str] = {
@@ -53,6 +54,7 @@ class TeleopParameters:
     max_yaw_rate_rps: Positive = 1.0
     dead_man_s: Positive = 0.8  # a key that is held repeats for the first time after up to 0.66 s (X11)
     joy_dead_man_s: Positive = 0.5  # autorepeat_rate of joy must be above 2 Hz
+    rate: Rate = 10.0  # Hz: so often the robot is told while something is wanted
     stop_s: Positive = 0.3  # for so long the robot is told to stand
     joy_axis_linear: Index = 1  # left stick, forward is positive
     joy_axis_angular: Index = 0  # left stick, left is positive
@@ -110,6 +112,11 @@ class Teleop:
     def yaw_rate_rps(self) -> float:
         """How fast it turns at the present speed."""
         return min(self._params.yaw_rate_rps * self.speed_mps / self._params.speed_mps, self._params.max_yaw_rate_rps)
+
+    @property
+    def until(self) -> float:
+        """When what :meth:`step` said last ends by itself, in s; not after now where it said nothing."""
+        return max(self._holds_until, self._stops_until)
 
     def press(self, key: Key, now: float) -> None:
         """A key is pressed, or repeats because it is held."""

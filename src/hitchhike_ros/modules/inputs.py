@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +38,14 @@ class DepthCameraInfo:
     """Calibration of the depth camera, whose images are rectified."""
 
     info: CameraInfo
+
+
+@dataclass(frozen=True)
+class Joystick:
+    """Axes in [-1, 1] and buttons, 1 where pressed, in the order of the driver ``joy``."""
+
+    axes: Sequence[float]
+    buttons: Sequence[int]
 
 
 @dataclass(frozen=True)

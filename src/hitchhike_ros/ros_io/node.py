@@ -11,10 +11,9 @@ from typing import Any
 import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from std_msgs.msg import Header, String
+from std_msgs.msg import Header
 
-from hitchhike_ros.core.errors import HitchhikeError, MessageError
-from hitchhike_ros.protocol.status import Status, decode_status
+from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.ros_io.conversions import to_stamp
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -105,23 +104,6 @@ class Diagnostics:
         for key, value in list(self._values.items()):
             status.add(key, str(value))
         return status
-
-
-class StatusListener:
-    """Calls back with each readable ``hhike_msg/status``; others are counted and logged."""
-
-    def __init__(self, callback: Callable[[Status], None], diagnostics: Diagnostics) -> None:
-        self._callback, self._diagnostics = callback, diagnostics
-        self._subscriber = rospy.Subscriber("hhike_msg/status", String, self._receive, queue_size=10)
-
-    def _receive(self, msg: String) -> None:
-        try:
-            status = decode_status(msg.data)
-        except MessageError as exc:
-            self._diagnostics.count("bad_status")
-            rospy.logwarn_throttle(10.0, "%s", exc)
-            return
-        self._callback(status)
 
 
 class LockstepAnswer:

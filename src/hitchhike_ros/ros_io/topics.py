@@ -28,7 +28,7 @@ from nav_msgs.msg import MapMetaData, Path
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, Joy
 from std_msgs.msg import Bool, Int8, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -44,6 +44,7 @@ from hitchhike_ros.modules.inputs import (
     FoundObstacles,
     HandedOverObstacles,
     InitialPose,
+    Joystick,
     NavigationCommand,
     NetworkText,
     PlannedPath,
@@ -224,6 +225,7 @@ INLETS: dict[type, Inlet] = {
         Inlet(ServoingCommand, "cmd_vel/servoing", Twist, _twist_of(ServoingCommand)),
         Inlet(NavigationCommand, "cmd_vel/navigation", Twist, _twist_of(NavigationCommand)),
         # From an operator, and from a driver by hitchhike_comm.
+        Inlet(Joystick, "joy", Joy, lambda msg: Joystick(tuple(msg.axes), tuple(msg.buttons))),
         Inlet(InitialPose, "initialpose", PoseWithCovarianceStamped, _start),
         Inlet(HandedOverObstacles, "hhike_msg/new_obstacles", String, _handed_over, queue_size=10),
         # From robot to robot.
@@ -368,6 +370,10 @@ OBSTACLE_AVOIDANCE = (
     Outlet("command", "cmd_vel/navigation", Twist, lambda command: _twists(command.twist)),
     Outlet("report", "navigation/status", String, _json, latch=True, queue_size=10),
 )
+TELEOP = (
+    Outlet("command", "cmd_vel/teleop", Twist, lambda command: _twists(command.twist), queue_size=10),
+    Outlet("active", "teleop/active", Bool, lambda said: (Bool(said.active),), queue_size=10),
+)
 MAPPING_3D = (
     Outlet("messages", "~network_out", String, _texts, queue_size=200),
     Outlet("file", "octomap_binary", UInt8MultiArray, lambda file: (UInt8MultiArray(data=file),), latch=True),
@@ -392,4 +398,5 @@ _OF_MODULE = {
     "hitchhike_comm": HITCHHIKE_COMM,
     "velocity_mux": VELOCITY_MUX,
     "mapping_3d": MAPPING_3D,
+    "teleop": TELEOP,
 }

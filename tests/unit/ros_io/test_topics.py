@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rospy
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
+from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, String
 
 from hitchhike_ros.core.datatypes import CameraInfo, Pose2D, Twist2D
@@ -20,15 +21,17 @@ from hitchhike_ros.modules.inputs import (
     NO_PATH,
     DepthCameraInfo,
     DepthImage,
+    Joystick,
     NavigationCommand,
     PlannedPath,
     PlanReport,
     TeleopActive,
+    TeleopCommand,
 )
 from hitchhike_ros.protocol.events import NavigationReport
 from hitchhike_ros.protocol.map_transfer import Transfer
 from hitchhike_ros.ros_io.conversions import camera_info_to_msg, grid_to_msg, image_to_msg
-from hitchhike_ros.ros_io.topics import INLETS, MAPPING_3D, OBSTACLE_AVOIDANCE, PATH_PLANNING, Outlet
+from hitchhike_ros.ros_io.topics import INLETS, MAPPING_3D, OBSTACLE_AVOIDANCE, PATH_PLANNING, TELEOP, Outlet
 
 
 @pytest.fixture(autouse=True)
@@ -76,6 +79,14 @@ def test_what_driving_comes_to_arrives() -> None:
 @pytest.mark.parametrize("active", [True, False])
 def test_whether_a_human_has_the_robot_in_hand_arrives(active: bool) -> None:
     assert INLETS[TeleopActive].convert(Bool(active)) == TeleopActive(active)
+
+
+def test_what_a_human_wants_arrives() -> None:
+    assert handed_on(TELEOP, TeleopCommand, TeleopCommand(Twist2D(0.5, -0.25))) == TeleopCommand(Twist2D(0.5, -0.25))
+    for active in (True, False):
+        assert handed_on(TELEOP, TeleopActive, TeleopActive(active)) == TeleopActive(active)
+    joystick = INLETS[Joystick].convert(Joy(axes=[0.5, -1.0], buttons=[0, 1]))
+    assert joystick == Joystick((0.5, -1.0), (0, 1))
 
 
 def test_the_report_of_a_plan_is_published_before_it() -> None:
