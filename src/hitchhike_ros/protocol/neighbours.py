@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hitchhike_ros.core.datatypes import Pose2D
-from hitchhike_ros.protocol.messages import Beacon, Message, PoseFields
+from hitchhike_ros.protocol.messages import Beacon, Decouple, Driver, Message, PoseFields
 from hitchhike_ros.protocol.status import KnownRobot
 
 # Radius of a robot whose beacon has not been heard yet (chosen).
@@ -19,11 +19,15 @@ class Neighbours:
     def __init__(self) -> None:
         self._beacons: dict[str, tuple[Beacon, float]] = {}
         self._places: dict[str, tuple[Pose2D | PoseFields, float]] = {}  # that other messages told, or that were seen
+        # By driver: the rider ahead in its convoy, of whom no message tells the name.
+        self._ahead: dict[str, tuple[Pose2D | PoseFields, float]] = {}
 
     def hear(self, message: Message, now: float) -> None:
         """Take any message of another robot."""
         if isinstance(message, Beacon):
             self.put_away(message, (message, now))
+        elif isinstance(message, Driver | Decouple) and message.place > 1:
+            self._ahead[message.robot_id] = message, now
         elif isinstance(message, PoseFields):
             self._places[message.robot_id] = message, now
 
@@ -33,20 +37,28 @@ class Neighbours:
             self._places[beacon.robot_id] = place  # the beacon before may have told it
         self._beacons[beacon.robot_id] = heard
 
-    def saw(self, robot_id: str, place: Pose2D, now: float) -> None:
-        """A robot was seen at ``place`` in ``map``: what it said last may be metres old."""
-        if self._place(robot_id) is not None:
-            self._places[robot_id] = place, now
+    def saw_driver(self, driver: str, place: Pose2D, now: float) -> None:
+        """A driver was seen at ``place`` in ``map``: what it said last may be metres old."""
+        if self._place(driver) is not None:
+            self._places[driver] = place, now
+
+    def saw_ahead(self, driver: str, place: Pose2D, now: float) -> None:
+        """The rider ahead in a driver's convoy was seen at ``place`` in ``map``."""
+        self._ahead[driver] = place, now
 
     def robots(self, now: float, timeout_s: float, waiting: str, waiting_s: float) -> tuple[KnownRobot, ...]:
-        """Where robots stand that were heard of in the last ``timeout_s``; ``waiting`` is remembered longer."""
+        """Where robots stand that were heard of in the last ``timeout_s``.
+
+        The driver ``waiting`` is remembered for ``waiting_s``, and so is the rider ahead that waits with it.
+        """
         found = []
-        for name in {**self._beacons, **self._places}:
-            place = self._place(name)
-            if place is not None and now - place[1] <= (waiting_s if name == waiting else timeout_s):
-                beacon = self._beacons.get(name)
-                radius_m = _UNKNOWN_RADIUS_M if beacon is None else beacon[0].radius_m
-                found.append(KnownRobot(place[0].x, place[0].y, radius_m))
+        for name in {**self._beacons, **self._places, **self._ahead}:
+            since = now - (waiting_s if name == waiting else timeout_s)
+            beacon = self._beacons.get(name)
+            radius_m = _UNKNOWN_RADIUS_M if beacon is None else beacon[0].radius_m
+            for place, its_radius_m in ((self._place(name), radius_m), (self._ahead.get(name), _UNKNOWN_RADIUS_M)):
+                if place is not None and place[1] >= since:
+                    found.append(KnownRobot(place[0].x, place[0].y, its_radius_m))
         return tuple(found)
 
     def known(self, now: float, timeout_s: float) -> set[str]:
@@ -61,7 +73,7 @@ class Neighbours:
 
     def forget(self, before: float) -> None:
         """Of whom nothing was heard since ``before`` is gone."""
-        for heard in (self._beacons, self._places):
+        for heard in (self._beacons, self._places, self._ahead):
             for name in [name for name, (_, at) in heard.items() if at < before]:
                 del heard[name]
 

@@ -314,6 +314,17 @@ def test_anyone_leaves_at_its_own_point_and_those_behind_close_up(goals: tuple[f
     assert len({award.hitchhiker for award in driver.awards}) == 3
 
 
+def test_one_that_leaves_a_convoy_knows_the_driver_and_the_robot_ahead_each_where_it_is() -> None:
+    """The driver's messages tell a rider of the robot ahead of it, which is the driver for the first one alone."""
+    fleet, riders = _convoy((62.0, 40.0, 62.0))
+    driver, leaver = fleet.world.robots["driver"], riders[1]
+    fleet.run(lambda: leaver.status.state == "relocalizing")
+    known = sorted(leaver.agent.status(fleet.world.now).robots, key=lambda robot: robot.x)
+    poses = riders[0].body.pose, driver.body.pose
+    assert [(robot.x, robot.y) for robot in known] == [pytest.approx((pose.x, pose.y), abs=0.1) for pose in poses]
+    assert [robot.radius_m for robot in known] == [0.4, 0.2]  # the rider ahead has not said what it is
+
+
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_one_lost_follower_does_not_lose_the_rest(lost: int) -> None:
     fleet, riders = _convoy()

@@ -471,6 +471,17 @@ def test_others_are_known_where_they_say_they_are_as_long_as_they_speak() -> Non
     assert agent.status(17.0).robots == ()
 
 
+def test_a_driver_tells_the_second_of_its_riders_where_the_first_is_and_not_itself() -> None:
+    agent = _agent()
+    heard = messages(DRIVER, RIDER, "")
+    agent.step(replace(heard[Beacon], radius_m=0.27), 11.0)
+    agent.step(replace(heard[Driver], place=2), 12.0)
+    driver, ahead = KnownRobot(1.0, 2.0, 0.27), KnownRobot(3.0, 5.72, 0.4)
+    assert agent.status(12.1).robots == (driver, ahead)
+    assert agent.status(14.5).robots == (ahead,)
+    assert agent.status(17.0).robots == ()
+
+
 def test_who_looks_for_no_robots_is_told_of_none_and_of_all_as_soon_as_it_looks() -> None:
     world = World()
     rider = world.rider

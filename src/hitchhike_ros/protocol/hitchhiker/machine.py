@@ -75,7 +75,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
             sites: the hitchhiking points of the world.
             camera: position of the camera in ``base_footprint``, m; gaps are measured from there.
             rear_marker: this robot's own.
-            neighbours: the robots in reach; the hitchhiker adds where it has seen its driver.
+            neighbours: the robots in reach; the hitchhiker adds where it has seen the robot ahead of it.
             metres: the ways of driving alone, for choosing among rides.
         """
         known = neighbours or Neighbours()
@@ -286,7 +286,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
 
     def _couple(self, aligned: Aligned) -> None:
         marker = aligned.ahead or self.facts.choice.offer.rear_marker
-        self.facts.ride = Ride(self.params, self._camera, marker, self.facts.now)
+        self.facts.ride = Ride(self.params, self._camera, marker, self.facts.now, aligned.place)
 
     def _take_request_back(self) -> None:
         self._tell(RequestCancel(**self._to_driver()))
@@ -374,11 +374,11 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         """The driver still carries on with a ride that is over here: what it was told was lost."""
         self._send(Terminate(**self._to(message), reason=str(self.ending)))
 
-    def _place_driver(self) -> None:
-        """The robot stands as it did when it saw its driver, and now knows better where that is."""
+    def _place_ahead(self) -> None:
+        """The robot stands as it did when it saw the one ahead, and now knows better where that is."""
         restart, estimate = self.facts.restart, self.facts.situation.estimate
         assert restart is not None and estimate is not None
-        self._note_driver(restart.driver_from(estimate.pose))
+        self._note_ahead(restart.ahead_from(estimate.pose))
 
     def _finish(self) -> None:
         self._report(self.ending or Reason.RIDE_COMPLETED)
@@ -439,13 +439,16 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         facts, report = self.facts, self.facts.ride.report
         facts.restart = None
         if pose is not None:
-            facts.restart = Restart(pose, facts.ride.driver_pose(pose.pose, facts.situation, facts.now))
-            self._note_driver(facts.restart.driver)
+            facts.restart = Restart(pose, facts.ride.pose_ahead(pose.pose, facts.situation, facts.now))
+            self._note_ahead(facts.restart.ahead)
             self._effects.append(TakePose(pose))
         if report is not None and report.new_obstacles.obstacles:
             self._effects.append(TakeObstacles(report.new_obstacles.obstacles))
 
-    def _note_driver(self, place: Pose2D | None) -> None:
-        """The driver is where it is seen: what it said last may be metres old."""
-        if place is not None:
-            self.facts.neighbours.saw(self.facts.choice.offer.robot_id, place, self.facts.now)
+    def _note_ahead(self, place: Pose2D | None) -> None:
+        """The robot ahead is where it is seen: what the driver said last of it may be metres old."""
+        if place is None:
+            return
+        neighbours, driver = self.facts.neighbours, self.facts.choice.offer.robot_id
+        saw = neighbours.saw_driver if self.facts.ride.place == 1 else neighbours.saw_ahead
+        saw(driver, place, self.facts.now)

@@ -41,10 +41,15 @@ class Ride:
     """
 
     def __init__(
-        self, params: HitchhikingParameters, camera: tuple[float, float], rear_marker: RearMarker, now: float
+        self,
+        params: HitchhikingParameters,
+        camera: tuple[float, float],
+        rear_marker: RearMarker,
+        now: float,
+        place: int = 1,
     ) -> None:
-        """``rear_marker`` is of the robot ahead, the driver or another rider."""
-        self.rear_marker = rear_marker
+        """``rear_marker`` is of the robot ahead: the driver, or another rider where the ``place`` is not the first."""
+        self.rear_marker, self.place = rear_marker, place
         self.report: Driver | Decouple | None = None  # the newest message of the driver
         self.told: deque[Pose2D] = deque()  # where the driver said that it was: the last metres of its way
         self._params, self._camera = params, Pose2D(*camera)
@@ -115,7 +120,7 @@ class Ride:
         """
         if message.ahead is not None and message.ahead != self.rear_marker:
             self.rear_marker, self._track, self.told = message.ahead, DriverTrack(), deque()
-        self._heard_at, self.report = now, message
+        self._heard_at, self.report, self.place = now, message, message.place
         if not self.told or distance(self.told[-1], message.pose) >= _TOLD_STEP_M:
             self.told.append(message.pose)
         while distance(self.told[0], message.pose) > _TOLD_M:
@@ -172,7 +177,7 @@ class Ride:
         message = self.report
         return None if message is None else PoseEstimate(now, message.pose, np.array(message.sigma))
 
-    def driver_pose(self, own: Pose2D, situation: Situation, now: float) -> Pose2D | None:
+    def pose_ahead(self, own: Pose2D, situation: Situation, now: float) -> Pose2D | None:
         """Where the robot ahead is in ``map`` when this one is at ``own``; None while its marker is not in view."""
         seen = self.seen(situation, now)
         return None if seen is None else compose(compose(own, seen.pose), inverse(self.rear_marker.marker_pose))
@@ -183,7 +188,7 @@ class Restart:
     """Localization starts again: from which pose, and where the robot ahead was seen from there, in ``map``."""
 
     estimate: PoseEstimate
-    driver: Pose2D | None
+    ahead: Pose2D | None
 
     def taken(self, answer: PoseEstimate | None) -> bool:
         """Whether localization goes on from the pose: it may wake up with what it knew when it went to sleep."""
@@ -192,6 +197,6 @@ class Restart:
             return False
         return distance(given.pose, answer.pose) <= _TAKEN_M
 
-    def driver_from(self, own: Pose2D) -> Pose2D | None:
+    def ahead_from(self, own: Pose2D) -> Pose2D | None:
         """Where the robot ahead was, when this one stands where it stood and localization now says ``own``."""
-        return None if self.driver is None else compose(own, between(self.estimate.pose, self.driver))
+        return None if self.ahead is None else compose(own, between(self.estimate.pose, self.ahead))

@@ -53,7 +53,7 @@ class RearMarker:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseFields:
-    """Where the sender is."""
+    """Where the sender is, or in some messages of a convoy the rider ahead of whom they are for."""
 
     x: float
     y: float

@@ -290,10 +290,10 @@ def test_one_that_moves_up_lays_no_places_of_two_robots_on_one_another() -> None
 def test_where_the_driver_is_follows_from_the_own_pose_and_the_marker() -> None:
     ride, driver, own = _ride(), Pose2D(4.0, 5.0, 0.5), Pose2D(2.9, 4.3, 0.6)
     seen = MarkerObservation(10.0, 0, between(own, compose(driver, MARKER_POSE)), np.array(SIGMA))
-    place = ride.driver_pose(own, Situation(observation=seen), 10.0)
+    place = ride.pose_ahead(own, Situation(observation=seen), 10.0)
     assert place is not None
     assert (place.x, place.y, place.theta) == pytest.approx((driver.x, driver.y, driver.theta))
-    assert ride.driver_pose(own, Situation(observation=seen), 11.0) is None
+    assert ride.pose_ahead(own, Situation(observation=seen), 11.0) is None
 
 
 # Localization starts again.
@@ -319,11 +319,11 @@ def test_without_an_answer_no_pose_is_taken() -> None:
 
 def test_the_driver_is_as_far_from_where_the_robot_is_as_from_where_it_was_taken_to_be() -> None:
     driver, own = Pose2D(4.0, 4.5, 0.4), Pose2D(3.1, 3.8, 0.45)
-    place = Restart(GIVEN, driver).driver_from(own)
+    place = Restart(GIVEN, driver).ahead_from(own)
     assert place is not None
     before, after = between(GIVEN.pose, driver), between(own, place)
     assert (after.x, after.y, after.theta) == pytest.approx((before.x, before.y, before.theta))
-    assert Restart(GIVEN, None).driver_from(own) is None
+    assert Restart(GIVEN, None).ahead_from(own) is None
 
 
 def test_boxes_of_the_newest_message_are_known() -> None:
