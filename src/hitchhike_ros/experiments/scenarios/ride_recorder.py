@@ -52,6 +52,7 @@ class SamplingParameters:
     cpu_s: Positive = 0.4
     memory_s: Positive = 5.0
     traffic_s: Positive = 4.0
+    answer_timeout_s: Positive = 2.0  # of a node that is asked; one that hangs is asked again next time
 
     def period_s(self, what: Sample) -> float:
         return {"nodes": self.nodes_s, "cpu": self.cpu_s, "memory": self.memory_s, "traffic": self.traffic_s}[what]

@@ -1,9 +1,6 @@
-"""The processes behind nodes of this machine: what CPU time, memory and traffic they use, and whether they still run.
+"""The processes behind nodes of this machine: what they use, and whether they still run.
 
-CPU and memory come from the operating system. Messages and bytes come from each node's slave API: ``getBusStats``
-counts them for each connection, and forgets one that has closed; so the newest counts of every connection are kept
-here, and what one carried after it was last asked for is lost. rospy counts the handshake and the length in front of
-each message (some 350 and 4 bytes), roscpp the bare messages. Services are not counted.
+CPU and memory come from the operating system, traffic from each node's slave API.
 """
 
 from __future__ import annotations
@@ -12,8 +9,8 @@ import contextlib
 import http.client
 import itertools
 import xmlrpc.client
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
@@ -22,72 +19,16 @@ import psutil
 import rosgraph
 import rospy
 
-_TIMEOUT_S = 2.0
+from hitchhike_ros.experiments.scenarios.node_use import ProcessUse, Traffic, TrafficCounter, megabytes
+
 _UNREACHABLE = (OSError, rosgraph.MasterException, xmlrpc.client.Error, http.client.HTTPException)
 
 
 @dataclass(frozen=True)
-class Traffic:
-    """What went through a node's connections since it started."""
-
-    messages_in: int = 0
-    bytes_in: int = 0
-    messages_out: int = 0
-    bytes_out: int = 0
-
-    def __add__(self, other: Traffic) -> Traffic:
-        return Traffic(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-
-@dataclass(frozen=True)
-class ProcessUse:
-    """CPU seconds since a node's process started, and its resident memory now and at most."""
-
-    node: str
-    cpu_s: float
-    memory_mb: float
-    peak_mb: float
-
-
-class TrafficCounter:
-    """Running sums over one node's connections, those that have closed included.
-
-    Args:
-        watchers: nodes that only look on; what is sent to them is not counted.
-    """
-
-    def __init__(self, watchers: Collection[str] = ()) -> None:
-        self._watchers = frozenset(watchers)
-        self._connections: dict[int, Traffic] = {}
-        self._ignored: set[int] = set()
-
-    @property
-    def total(self) -> Traffic:
-        return sum(self._connections.values(), Traffic())
-
-    def update(self, stats: Sequence[Any], bus_info: Callable[[], Sequence[Sequence[Any]]]) -> None:
-        """Take what ``getBusStats`` says: ``[publications, subscriptions, services]``.
-
-        A publication is ``[topic, bytes, connections]`` with ``[id, bytes, messages, connected]`` from rospy and
-        ``[topic, connections]`` with ``[id, bytes, bytes of data, messages, 0]`` from roscpp, a subscription ``[topic,
-        connections]`` with ``[id, bytes, messages, dropped, connected]`` from both; ids are those of the process.
-
-        Args:
-            stats: that answer.
-            bus_info: asks for what ``getBusInfo`` says, only when there are connections not known yet.
-        """
-        publications, subscriptions = stats[0], stats[1]
-        counts: dict[int, Traffic] = {}
-        for publication in publications:
-            for connection in publication[-1]:
-                messages = connection[3] if len(connection) > 4 else connection[2]
-                counts[int(connection[0])] = Traffic(messages_out=int(messages), bytes_out=int(connection[1]))
-        for subscription in subscriptions:
-            for connection in subscription[-1]:
-                counts[int(connection[0])] = Traffic(messages_in=int(connection[2]), bytes_in=int(connection[1]))
-        if self._watchers and counts.keys() - self._connections.keys() - self._ignored:
-            self._ignored |= {int(info[0]) for info in bus_info() if info[1] in self._watchers}
-        self._connections.update({k: count for k, count in counts.items() if k not in self._ignored})
+class _Node:
+    process: psutil.Process
+    uri: str
+    traffic: TrafficCounter
 
 
 class NodeProcesses:
@@ -95,40 +36,38 @@ class NodeProcesses:
 
     Args:
         watchers: as in :class:`TrafficCounter`.
+        timeout_s: wall time after which a node that is asked counts as hanging.
     """
 
-    def __init__(self, watchers: Collection[str] = ()) -> None:
-        self._watchers = watchers
+    def __init__(self, watchers: Collection[str], timeout_s: float) -> None:
+        self._watchers, self._timeout_s = watchers, timeout_s
         self._master = rosgraph.Master(rospy.get_name())
-        self._processes: dict[str, psutil.Process] = {}
-        self._uris: dict[str, str] = {}
-        self._traffic: dict[str, TrafficCounter] = {}
+        self._nodes: dict[str, _Node] = {}
 
-    def discover(self) -> bool:
-        """Look for nodes that are not known yet; whether there were any.
+    def discover(self) -> None:
+        """Look for nodes that are not known yet.
 
         Raises:
             OSError, rosgraph.MasterException: the ROS master does not answer.
         """
         state = self._master.getSystemState()
         names = {node for _topic, nodes in itertools.chain.from_iterable(state) for node in nodes}
-        new = names - self._processes.keys()
-        before = len(self._processes)
-        for name in new:
-            process = self._process_of(name)
-            if process is not None:
-                self._processes[name] = process
-        return len(self._processes) > before
+        for name in names - self._nodes.keys():
+            # One that is just starting or ending is asked again next time.
+            with contextlib.suppress(*_UNREACHABLE, psutil.Error):
+                uri = self._master.lookupNode(name)
+                if rosgraph.network.is_local_address(urlparse(uri).hostname or ""):
+                    process = psutil.Process(self._ask(uri, "getPid"))
+                    self._nodes[name] = _Node(process, uri, TrafficCounter(self._watchers))
 
     def use(self) -> list[ProcessUse]:
         """What every known process that still runs has used. The nodes themselves notice nothing of it."""
         uses = []
-        for name, process in sorted(self._processes.items()):
-            try:
-                times, memory, peak_mb = process.cpu_times(), process.memory_info(), _peak_mb(process.pid)
-            except (psutil.NoSuchProcess, psutil.AccessDenied, OSError):
-                continue
-            uses.append(ProcessUse(name, times.user + times.system, memory.rss / 2**20, peak_mb))
+        for name, node in sorted(self._nodes.items()):
+            with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied, OSError):
+                times, memory = node.process.cpu_times(), node.process.memory_info()
+                peak_mb = _peak_mb(node.process.pid)
+                uses.append(ProcessUse(name, times.user + times.system, memory.rss / 2**20, peak_mb))
         return uses
 
     def memory(self) -> dict[str, float]:
@@ -137,9 +76,9 @@ class NodeProcesses:
         The system looks at all its pages for that: some milliseconds a process.
         """
         sizes = {}
-        for name, process in self._processes.items():
+        for name, node in self._nodes.items():
             with contextlib.suppress(OSError):
-                sizes[name] = pss_mb(process.pid)
+                sizes[name] = pss_mb(node.process.pid)
         return sizes
 
     def traffic(self) -> dict[str, Traffic]:
@@ -147,46 +86,31 @@ class NodeProcesses:
 
         Each is asked, which may take its time and costs the node some of its own.
         """
-        return {name: self._traffic_of(name) for name in sorted(self._uris)}
+        return {name: self._traffic_of(node) for name, node in sorted(self._nodes.items())}
 
     def gone(self) -> list[str]:
         """Known nodes whose process has ended."""
-        return [name for name, process in self._processes.items() if not _runs(process)]
+        return [name for name, node in self._nodes.items() if not _runs(node.process)]
 
-    def _process_of(self, node: str) -> psutil.Process | None:
-        try:
-            uri = self._master.lookupNode(node)
-            host = urlparse(uri).hostname or ""
-            if not rosgraph.network.is_local_address(host):
-                return None
-            process = psutil.Process(_ask(uri, "getPid"))
-        except (*_UNREACHABLE, psutil.Error):
-            return None  # it is just starting or ending, and is asked again next time
-        self._uris[node] = uri
-        self._traffic[node] = TrafficCounter(self._watchers)
-        return process
-
-    def _traffic_of(self, node: str) -> Traffic:
-        uri, counter = self._uris[node], self._traffic[node]
+    def _traffic_of(self, node: _Node) -> Traffic:
         with contextlib.suppress(*_UNREACHABLE):
-            counter.update(_ask(uri, "getBusStats"), lambda: _ask(uri, "getBusInfo"))
-        return counter.total
+            node.traffic.update(self._ask(node.uri, "getBusStats"), lambda: self._ask(node.uri, "getBusInfo"))
+        return node.traffic.total
 
+    def _ask(self, uri: str, method: str) -> Any:
+        """What a node's slave API answers.
 
-def _ask(uri: str, method: str) -> Any:
-    """What a node's slave API answers.
-
-    Raises:
-        OSError, xmlrpc.client.Error, http.client.HTTPException: it does not answer, or with an error.
-    """
-    with xmlrpc.client.ServerProxy(uri, transport=_Transport()) as slave:
-        answer: Any = getattr(slave, method)(rospy.get_name())
-    if isinstance(answer[0], list):  # roscpp's getBusStats has neither code nor text
-        return answer
-    code, text, value = answer
-    if code != 1:
-        raise xmlrpc.client.Fault(code, text)
-    return value
+        Raises:
+            OSError, xmlrpc.client.Error, http.client.HTTPException: it does not answer, or with an error.
+        """
+        with xmlrpc.client.ServerProxy(uri, transport=_Transport(self._timeout_s)) as slave:
+            answer: Any = getattr(slave, method)(rospy.get_name())
+        if isinstance(answer[0], list):  # roscpp's getBusStats has neither code nor text
+            return answer
+        code, text, value = answer
+        if code != 1:
+            raise xmlrpc.client.Fault(code, text)
+        return value
 
 
 def pss_mb(pid: int) -> float:
@@ -195,24 +119,28 @@ def pss_mb(pid: int) -> float:
     Raises:
         OSError: there is no such process, or it is another user's.
     """
-    rollup = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii", errors="replace")
-    kilobytes = next((line.split()[1] for line in rollup.splitlines() if line.startswith("Pss:")), "0")
-    return int(kilobytes) / 1024.0
+    return _proc_mb(pid, "smaps_rollup", "Pss")
 
 
 def _peak_mb(pid: int) -> float:
     """The most memory that was resident, as Linux keeps it."""
-    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
-    kilobytes = next((line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")), "0")
-    return int(kilobytes) / 1024.0
+    return _proc_mb(pid, "status", "VmHWM")
+
+
+def _proc_mb(pid: int, file: str, field: str) -> float:
+    return megabytes(Path(f"/proc/{pid}/{file}").read_text(encoding="ascii", errors="replace"), field)
 
 
 class _Transport(xmlrpc.client.Transport):
     """HTTP that does not wait forever for a node that hangs."""
 
+    def __init__(self, timeout_s: float) -> None:
+        super().__init__()
+        self._timeout_s = timeout_s
+
     def make_connection(self, host: object) -> http.client.HTTPConnection:
         connection = super().make_connection(host)  # type: ignore[arg-type]
-        connection.timeout = _TIMEOUT_S
+        connection.timeout = self._timeout_s
         return connection
 
 

@@ -77,7 +77,7 @@ class RideMonitor:
         self._record = self._recorder.record
         self._topics = RecordedTopics(self._recorder)
         self._sampling = Sampling(SamplingParameters())
-        self._processes = NodeProcesses(WATCHERS)
+        self._processes = NodeProcesses(WATCHERS, self._sampling.params.answer_timeout_s)
         self._cameras = {name: CameraFrames(name, self._output) for name in self._record.robots}
         self._plans = {name: FramePlan() for name in self._cameras}
         self._screen = console()
