@@ -17,6 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
+Seed = Annotated[int, msgspec.Meta(ge=0)]
 UnitInterval = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Side = Literal["left", "right"]
 # What a human may do to a robot by teleoperation: free is straight to the base; guided passes through obstacle

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Protocol
 
@@ -255,27 +255,6 @@ class Frames:
     def _expect(self, robot: RobotPort, sensor: str, now: float) -> None:
         if self._gate is not None:
             self._gate.sent(robot.name, sensor, now)
-
-
-def diagnosis(
-    contacts: int, factor: float, misses: Mapping[tuple[str, str], int], counts: Mapping[str, float]
-) -> tuple[bool, str, dict[str, object]]:
-    """Whether all is well, what to say of it, and the values of the simulator's diagnostics.
-
-    Args:
-        contacts: touches so far.
-        factor: the real-time factor.
-        misses: answers missed, by robot and module.
-        counts: what the clock counts.
-    """
-    values: dict[str, object] = {
-        "real_time_factor": f"{factor:.2f}",
-        "contacts": contacts,
-        "lockstep_misses": sum(misses.values()),
-        **{f"lockstep_misses_{robot}_{module}": count for (robot, module), count in misses.items()},
-        **counts,
-    }
-    return not contacts, f"{contacts} contacts" if contacts else "running", values
 
 
 def _ratio(name: str, fast: int, slow: int, file: object) -> int:

@@ -13,15 +13,12 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Annotated, Generic, TypeVar
+from typing import Generic, TypeVar
 
-import msgspec
-
-from hitchhike_ros.core.datatypes import NonNegative, UnitInterval
+from hitchhike_ros.core.datatypes import NonNegative, Seed, UnitInterval
 from hitchhike_ros.core.errors import ParameterError
 from hitchhike_ros.core.parameters import convert
 
-Seed = Annotated[int, msgspec.Meta(ge=0)]
 T = TypeVar("T")
 
 # SplitMix64: a stream is one integer, so that a pair costs a hundred bytes, and random.Random's 2.5 kB times the pairs

@@ -24,6 +24,9 @@ class RealTime:
     ``most`` 0 is as fast as possible. ``wall`` and ``sleep`` are a monotonic clock and how to wait on it, in s.
     """
 
+    start_s = 0.0
+    """Simulated time at the start."""
+
     def __init__(self, most: float = 0.0, wall: Seconds = time.monotonic, sleep: Sleep = time.sleep) -> None:
         self.factor = math.nan
         """Over the last second or so."""
@@ -61,6 +64,7 @@ class SystemTime:
     factor = 1.0
 
     def __init__(self, start_s: float, wall: Seconds = time.monotonic, sleep: Sleep = time.sleep) -> None:
+        self.start_s = start_s
         self.steps = self.late = 0
         self.lost_s = 0.0
         """By how much simulated time has jumped, as steps were late."""

@@ -9,7 +9,7 @@ import pytest
 
 from hitchhike_ros.core.errors import ParameterError, WorldFileError
 from hitchhike_ros.protocol.status import ModuleSwitches, Status
-from hitchhike_ros.simulation.frames import FrameParameters, Frames, Gate, Orders, SubRates, Turn, diagnosis
+from hitchhike_ros.simulation.frames import FrameParameters, Frames, Gate, Orders, SubRates, Turn
 from hitchhike_ros.simulation.lockstep import Lockstep
 
 PARAMS = FrameParameters(clock_rate_hz=10, scan_rate_hz=5, image_rate_hz=2, depth_rate_hz=1, wheel_rate_hz=5)
@@ -204,17 +204,3 @@ def test_nobody_waits_when_the_node_ends() -> None:
     gate.take_status("r", LOCALIZING)
     gate.sent("r", "scan", 0.2)
     assert gate.wait(lambda: True) == (("r", "slam"),)
-
-
-def test_the_diagnosis_names_contacts_and_who_missed() -> None:
-    well, text, values = diagnosis(0, 2.0, {("r", "slam"): 3, ("r", "visual_servoing"): 1}, {"late_steps": 2})
-    assert (well, text) == (True, "running")
-    assert values == {
-        "real_time_factor": "2.00",
-        "contacts": 0,
-        "lockstep_misses": 4,
-        "lockstep_misses_r_slam": 3,
-        "lockstep_misses_r_visual_servoing": 1,
-        "late_steps": 2,
-    }
-    assert diagnosis(2, 1.0, {}, {})[:2] == (False, "2 contacts")

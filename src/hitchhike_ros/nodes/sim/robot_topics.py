@@ -12,8 +12,11 @@ from nav_msgs.msg import Odometry as OdometryMsg
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
 from sensor_msgs.msg import LaserScan as LaserScanMsg
+from std_msgs.msg import Header, String
 
 from hitchhike_ros.core.datatypes import Odometry, Twist2D
+from hitchhike_ros.core.errors import MessageError
+from hitchhike_ros.protocol.status import decode_status
 from hitchhike_ros.ros_io.conversions import (
     camera_info_to_msg,
     header,
@@ -25,13 +28,20 @@ from hitchhike_ros.ros_io.conversions import (
     twist_from_msg,
 )
 from hitchhike_ros.ros_io.node import Diagnostics
+from hitchhike_ros.simulation.frames import Gate
 from hitchhike_ros.simulation.physics.robot import SimulatedRobot
 
 
 class RobotTopics:
-    """One robot's topics: commands come in under a lock, its sensors go out."""
+    """One robot's topics: commands come in under a lock, its sensors go out.
 
-    def __init__(self, robot: SimulatedRobot, diagnostics: Diagnostics) -> None:
+    Args:
+        robot: whose topics they are.
+        diagnostics: count what is refused.
+        gate: of lock-step, which learns which modules are on and what they have answered.
+    """
+
+    def __init__(self, robot: SimulatedRobot, diagnostics: Diagnostics, gate: Gate | None = None) -> None:
         self.robot, self.name, self._diagnostics = robot, robot.name, diagnostics
         self._lock = threading.Lock()
         self._command: Twist2D | None = None
@@ -45,7 +55,15 @@ class RobotTopics:
         if robot.has_depth_camera:
             self._depth = publisher(f"{name}/camera/depth/image_raw", Image)
             self._depth_info = publisher(f"{name}/camera/depth/camera_info", CameraInfoMsg)
-        self._subscriber = rospy.Subscriber(f"{name}/cmd_vel", Twist, self._on_command, queue_size=1, tcp_nodelay=True)
+        self._subscribers = [
+            rospy.Subscriber(f"{name}/cmd_vel", Twist, self._on_command, queue_size=1, tcp_nodelay=True)
+        ]
+        if gate is not None:
+            answer = f"{name}/lockstep/answer"
+            self._subscribers += [
+                rospy.Subscriber(f"{name}/hhike_msg/status", String, self._on_status, gate, queue_size=10),
+                rospy.Subscriber(answer, Header, self._on_answer, gate, queue_size=50, tcp_nodelay=True),
+            ]
 
     def _on_command(self, msg: Twist) -> None:
         twist = twist_from_msg(msg)
@@ -54,6 +72,16 @@ class RobotTopics:
             rospy.logerr_throttle(10.0, "%s/cmd_vel is not finite: the robot stops", self.name)
         with self._lock:
             self._command = twist
+
+    def _on_status(self, msg: String, gate: Gate) -> None:
+        try:
+            gate.take_status(self.name, decode_status(msg.data))
+        except MessageError as exc:
+            self._diagnostics.count("bad_status")
+            rospy.logwarn_throttle(10.0, "%s", exc)
+
+    def _on_answer(self, msg: Header, gate: Gate) -> None:
+        gate.answered(self.name, msg.frame_id, msg.stamp.to_sec())
 
     def drive(self, now: float) -> None:
         """Give the robot the newest command, if one came since the last call."""

@@ -44,7 +44,7 @@ from __future__ import annotations
 
 import faulthandler
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -52,20 +52,21 @@ import msgspec
 import rospkg
 import rospy
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerRequest, TriggerResponse
 from tf2_msgs.msg import TFMessage
 
-from hitchhike_ros.core.errors import MessageError, ParameterError
+from hitchhike_ros.core.datatypes import Seed
+from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.nodes.sim.robot_topics import RobotTopics, publisher
-from hitchhike_ros.protocol.status import decode_status
 from hitchhike_ros.ros_io.conversions import to_stamp
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
-from hitchhike_ros.simulation.frames import FrameParameters, Frames, Gate, SubRates, diagnosis
+from hitchhike_ros.simulation.frames import FrameParameters, Frames, Gate, SubRates
 from hitchhike_ros.simulation.lockstep import Lockstep
 from hitchhike_ros.simulation.physics.world import World, WorldParameters
-from hitchhike_ros.simulation.real_time import Every, RealTime, SystemTime
+from hitchhike_ros.simulation.real_time import RealTime, SystemTime
+from hitchhike_ros.simulation.simulator_report import SimulatorReport
 from hitchhike_ros.simulation.world_file import decode_box, decode_box_id
 
 
@@ -78,27 +79,24 @@ class Simulator:
         rates = SubRates(params, world_params.physics_rate_hz, rospy.get_name())
         package = rospy.get_param("~package", "") or rospkg.RosPack().get_path("hitchhike_ros")
         on_system_clock = bool(rospy.get_param("~system_clock", rospy.get_param("/system_clock", False)))
-        start_s = time.time() if on_system_clock else 0.0
-        self._time = SystemTime(start_s) if on_system_clock else RealTime(params.max_real_time_factor)
-        self._world = World(path_parameter("world"), _seed(), world_params, package=Path(str(package)), start_s=start_s)
-        self._reports, self._prints = Every(1.0), Every(params.print_period_s)
+        self._time = SystemTime(time.time()) if on_system_clock else RealTime(params.max_real_time_factor)
+        seed = convert(rospy.get_param("~seed", 0), Seed, rospy.get_name(), "~seed")
+        world, start_s = path_parameter("world"), self._time.start_s
+        self._world = World(world, seed, world_params, package=Path(str(package)), start_s=start_s)
+        self._report = SimulatorReport(params.print_period_s)
         self._diagnostics = Diagnostics("simulator")
         self._diagnostics.set(OK, "running", contacts=0, lockstep_misses=0)
-        robots = [RobotTopics(robot, self._diagnostics) for robot in self._world.robots.values()]
         in_lockstep = not on_system_clock and rospy.get_param("~lockstep", rospy.get_param("/lockstep", False))
         self._gate = Gate(Lockstep(params.answer_timeout_s, params.join_timeout_s)) if in_lockstep else None
-        self._robots, self._reported_contacts = robots, 0
+        self._robots = [RobotTopics(robot, self._diagnostics, self._gate) for robot in self._world.robots.values()]
         self._clock = None if on_system_clock else publisher("/clock", Clock)
         self._tf = publisher("/tf", TFMessage)
         self._contacts = rospy.Publisher("~contacts", String, queue_size=100)
-        self._frames = Frames(self._world, rates, self._time, robots, self._publish_state, self._gate)
+        self._frames = Frames(self._world, rates, self._time, self._robots, self._publish_state, self._gate)
         self._subscribers = [
             rospy.Subscriber(f"~{name}", String, self._on_order, act, queue_size=100)
             for name, act in (("add_box", self._add_box), ("remove_box", self._remove_box))
         ]
-        if self._gate is not None:
-            for name in self._world.robots:
-                self._subscribers += self._listen(name, self._gate)
         self._services = [
             rospy.Service("~reset", Trigger, self._on_reset),
             rospy.Service("~pause", SetBool, self._on_pause),
@@ -115,8 +113,7 @@ class Simulator:
                 for robot, module in turn.missed:
                     rospy.logwarn_throttle(10.0, "%s/%s did not answer in time", robot, module)
                 self._publish_contacts()
-                if self._reports.over():
-                    self._report()
+                self._diagnose()
         finally:
             self._world.close()
 
@@ -129,19 +126,17 @@ class Simulator:
         self._tf.publish(TFMessage(transforms))
 
     def _publish_contacts(self) -> None:
-        contacts = self._world.contacts()
-        for contact in contacts[self._reported_contacts :]:
+        for contact in self._report.touches(self._world.contacts()):
             self._contacts.publish(msgspec.json.encode(contact).decode())
             rospy.logwarn("%s touched %s at (%.2f, %.2f)", contact.robot, contact.other, contact.x, contact.y)
-        self._reported_contacts = len(contacts)
 
-    def _report(self) -> None:
-        misses: Mapping[tuple[str, str], int] = self._gate.misses if self._gate is not None else {}
-        well, text, values = diagnosis(self._reported_contacts, self._time.factor, misses, self._time.counts())
-        self._diagnostics.set(OK if well else WARN, text, **values)
-        if self._prints.over():
-            counts = ", ".join(f"{name} {value}" for name, value in values.items())
-            rospy.loginfo("%.0f s simulated, %s", self._world.elapsed_s, counts)
+    def _diagnose(self) -> None:
+        misses = self._gate.misses if self._gate is not None else {}
+        found = self._report.due(self._world.elapsed_s, self._time.factor, misses, self._time.counts())
+        if found is not None:
+            self._diagnostics.set(OK if found.well else WARN, found.text, **found.values)
+            if found.line:
+                rospy.loginfo("%s", found.line)
 
     # Orders, carried out between two periods of the clock.
 
@@ -153,28 +148,9 @@ class Simulator:
 
     def _reset(self) -> None:
         self._world.reset()
-        self._reported_contacts = 0
+        self._report.restart()
 
     # From other threads.
-
-    def _listen(self, robot: str, gate: Gate) -> list[rospy.Subscriber]:
-        """To what lock-step wants to know of a robot."""
-
-        def on_answer(msg: Header) -> None:
-            gate.answered(robot, msg.frame_id, msg.stamp.to_sec())
-
-        take_status = partial(self._on_status, robot=robot, gate=gate)
-        return [
-            rospy.Subscriber(f"{robot}/hhike_msg/status", String, take_status, queue_size=10),
-            rospy.Subscriber(f"{robot}/lockstep/answer", Header, on_answer, queue_size=50, tcp_nodelay=True),
-        ]
-
-    def _on_status(self, msg: String, robot: str, gate: Gate) -> None:
-        try:
-            gate.take_status(robot, decode_status(msg.data))
-        except MessageError as exc:
-            self._diagnostics.count("bad_status")
-            rospy.logwarn_throttle(10.0, "%s", exc)
 
     def _on_order(self, msg: String, act: Callable[[str], None]) -> None:
         self._frames.orders.put(partial(act, msg.data))
@@ -187,13 +163,6 @@ class Simulator:
     def _on_pause(self, request: SetBoolRequest) -> SetBoolResponse:
         self._frames.paused = bool(request.data)
         return SetBoolResponse(True, "paused" if request.data else "running")
-
-
-def _seed() -> int:
-    seed = rospy.get_param("~seed", 0)
-    if not isinstance(seed, int) or seed < 0:
-        raise ParameterError(rospy.get_name(), "~seed", seed, "an integer of at least 0")
-    return seed
 
 
 def main() -> None:
