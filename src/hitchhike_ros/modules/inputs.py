@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, Obstacle, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.protocol.events import GoalReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +110,8 @@ NO_PATH = PlannedPath(np.empty((0, 2)), None)
 
 
 @dataclass(frozen=True)
-class PlanReport:
+class PlanReport(GoalReport):
     """How planning for a goal fares: ``state`` is idle, waiting, planned or failed."""
-
-    goal_id: str
-    state: str
-    reason: str = ""
 
 
 @dataclass(frozen=True)

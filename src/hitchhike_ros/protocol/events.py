@@ -28,12 +28,17 @@ class GoalCancelled:
 
 
 @dataclass(frozen=True)
-class NavigationReport:
-    """What obstacle avoidance says of the goal it was given."""
+class GoalReport:
+    """What a module says of the goal it was given; whose report it is, the type tells."""
 
     goal_id: str
-    state: str  # idle, driving, arrived, blocked, failed
+    state: str
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class NavigationReport(GoalReport):
+    """How driving to a goal fares: ``state`` is idle, driving, arrived, blocked or failed."""
 
 
 @dataclass(frozen=True, eq=False)

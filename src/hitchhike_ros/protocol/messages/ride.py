@@ -138,20 +138,26 @@ class NewObstacles:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Driver(PoseFields, Message):
-    """The driver's message of every δ seconds: pose, Σ, Ω (P17 §4, Listing 1), and its speed.
+class DriverFields(PoseFields):
+    """What a driver tells its rider: pose, Σ, Ω (P17 §4, Listing 1), and how far they have ridden.
 
     In a convoy, pose and Σ are of the robot ahead of the rider, the one with the rear marker ``ahead``.
     """
 
-    type = "driver"
-
     sigma: Covariance
     new_obstacles: NewObstacles = NewObstacles()
-    v: float = 0.0
     ridden_m: NonNegative = 0.0
     place: Place = 1
     ahead: RearMarker | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driver(DriverFields, Message):
+    """The driver's message of every δ seconds, with its speed."""
+
+    type = "driver"
+
+    v: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,16 +182,10 @@ class Ack(Message):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Decouple(PoseFields, Message):
+class Decouple(DriverFields, Message):
     """The driver stands at dloc and hands over pose, Σ and Ω (P17 Alg. 1, line 31), as in its messages before."""
 
     type = "decouple"
-
-    sigma: Covariance
-    new_obstacles: NewObstacles = NewObstacles()
-    ridden_m: NonNegative = 0.0
-    place: Place = 1
-    ahead: RearMarker | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
