@@ -48,6 +48,11 @@ def folder_option(*names: str, default: str, text: str) -> Callable[[Any], Any]:
     )
 
 
+def runs_option(text: str) -> Callable[[Any], Any]:
+    """``--runs``."""
+    return click.option("--runs", metavar="N", type=click.IntRange(min=1), default=1, show_default=True, help=text)
+
+
 def help_of(docstring: str | None) -> str:
     """A module's docstring as help: paragraphs are filled, indented lines stay as they are."""
     paragraphs = (docstring or "").strip().split("\n\n")

@@ -28,7 +28,16 @@ import click
 import msgspec
 import rospkg
 
-from hitchhike_ros.commands.command_line import SETTINGS, check_option, help_of, json_option, run, seed_option, writable
+from hitchhike_ros.commands.command_line import (
+    SETTINGS,
+    check_option,
+    help_of,
+    json_option,
+    run,
+    runs_option,
+    seed_option,
+    writable,
+)
 from hitchhike_ros.commands.launches import RideProcesses
 from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.experiments.report.ride_files import SUMMARY
@@ -57,14 +66,7 @@ class DemoOptions:
     help="World file.  [default: maps/p17_exp1.world.yaml]",
 )
 @seed_option
-@click.option(
-    "--runs",
-    metavar="N",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="So many rides with seeds N, N + 1, …, and a table over all of them.",
-)
+@runs_option("So many rides with seeds N, N + 1, …, and a table over all of them.")
 @click.option(
     "--output",
     metavar="DIR",

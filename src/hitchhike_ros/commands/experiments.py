@@ -27,6 +27,7 @@ from hitchhike_ros.commands.command_line import (
     help_of,
     json_option,
     run,
+    runs_option,
     seed_option,
 )
 from hitchhike_ros.commands.scenario_runs import RECORD, drive
@@ -64,14 +65,7 @@ def command_of(package: Path, scenarios: Mapping[str, RideScenario]) -> click.Co
 
     @click.command("experiments", help=help_of(__doc__), epilog=names_help, context_settings=SETTINGS)
     @click.argument("names", nargs=-1, required=True, type=click.Choice(list(known)), metavar="NAME...")
-    @click.option(
-        "--runs",
-        metavar="N",
-        type=click.IntRange(min=1),
-        default=1,
-        show_default=True,
-        help="So many runs with seeds one after the other.",
-    )
+    @runs_option("So many runs with seeds one after the other.")
     @seed_option
     @folder_option(
         "--report",

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
@@ -157,3 +158,17 @@ class HitchhikingPoint:
     waiting_pose: Pose2D
     marker: int | None = None
     wall: Side | None = None
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A robot began to touch something at (x, y) in ``map``: ``other`` is ``walls``, a box, a person or a robot."""
+
+    stamp: float
+    robot: str
+    other: str
+    x: float
+    y: float
+
+    def __str__(self) -> str:
+        return f"{self.robot} and {self.other} at {self.stamp:.1f} s"

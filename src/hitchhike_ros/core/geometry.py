@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D, Twist2D
 
 
 def wrap_angle(angle: float) -> float:
@@ -156,3 +156,13 @@ def point_in_polygon(x: float, y: float, polygon: tuple[tuple[float, float], ...
         if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
             inside = not inside
     return inside
+
+
+def nearest_in_box(x: float, y: float, box: Obstacle) -> tuple[float, float]:
+    """The point of the box that is nearest to (x, y): (x, y) itself where that is inside."""
+    return min(max(x, box.x), box.x + box.w), min(max(y, box.y), box.y + box.b)
+
+
+def distance_to_box(x: float, y: float, box: Obstacle) -> float:
+    """Distance in m of the point (x, y) to the box; 0 inside."""
+    return math.dist((x, y), nearest_in_box(x, y, box))

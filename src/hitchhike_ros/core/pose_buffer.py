@@ -117,6 +117,10 @@ class PoseBuffer:
             after = reading
         return move(self.oldest.pose, self.oldest.twist, stamp - self.oldest.stamp)
 
+    def get(self, stamp: float) -> Pose2D | None:
+        """The pose at ``stamp``, None where the readings do not reach."""
+        return self.at(stamp) if self.covers(stamp) else None
+
     def motion(self, since: float, until: float, what: str = "time asked for") -> Pose2D:
         """T_since_until: the pose at ``until`` seen from the pose at ``since``; raises as :meth:`at`."""
         return between(self.at(since, what), self.at(until, what))

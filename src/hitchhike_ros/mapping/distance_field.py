@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
-from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.core.datatypes import BoolArray, FloatArray
 from hitchhike_ros.core.geometry import inverse, transform_points
 from hitchhike_ros.mapping.grid import UNKNOWN, OccupancyGrid, distance_to
-
-BoolArray = npt.NDArray[np.bool_]
-
 
 # Interpolation rounds corners off, within a cell; therefore cells are cut into parts, along each side.
 _PARTS = 2

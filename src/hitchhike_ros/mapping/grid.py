@@ -9,13 +9,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D
+from hitchhike_ros.core.datatypes import BoolArray, FloatArray, Obstacle, Pose2D
 from hitchhike_ros.core.geometry import inverse, transform_points
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 CellArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

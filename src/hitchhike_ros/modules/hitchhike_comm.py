@@ -252,14 +252,10 @@ class HitchhikeComm:
             obstacles=self._obstacles.obstacles,
             navigation=NavigationReport(plan.goal_id, plan.state, plan.reason) if failed else self._navigation,
             observation=seen,
-            seen_from=self._pose_at(seen.stamp) if seen is not None else None,
-            odom_pose=self._pose_at(now),
+            seen_from=self._odometry.get(seen.stamp) if seen is not None else None,
+            odom_pose=self._odometry.get(now),
             following=self._observations.following,
         )
-
-    def _pose_at(self, stamp: float) -> Pose2D | None:
-        """The own pose in ``odom``, None where odometry does not reach."""
-        return self._odometry.at(stamp) if self._odometry.covers(stamp) else None
 
     def _sent(self, effect: Send, now: float) -> str:
         message = self._outbox.stamp(effect.message, now)

@@ -11,7 +11,7 @@ from numbers import Integral, Real
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive
+from hitchhike_ros.core.datatypes import BoolArray, FloatArray, NonNegative, Positive
 from hitchhike_ros.core.errors import ItineraryInputError
 
 _FARTHEST_M = 1e6  # beyond the largest map: sums of squares of whatever is nearer stay exact enough
@@ -19,7 +19,6 @@ _FARTHEST_M = 1e6  # beyond the largest map: sums of squares of whatever is near
 _SHARE_DECIMALS = 9
 
 IndexArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

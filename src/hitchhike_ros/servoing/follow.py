@@ -190,4 +190,4 @@ class FollowLaw:
 
     def pose_at(self, stamp: float) -> Pose2D | None:
         """Own pose in ``odom`` when an image was taken; None where the odometry does not reach."""
-        return self._odometry.at(stamp) if self._odometry.covers(stamp) else None
+        return self._odometry.get(stamp)

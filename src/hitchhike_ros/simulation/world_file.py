@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
@@ -151,12 +150,6 @@ def check_people(people: Sequence[Person], taken: Container[str], path: Path | s
             raise WorldFileError(path, f"people[{i}].id", person.id, "a name that no robot and no box has")
         if len(person.path) < 2 or any(a == b for a, b in pairwise(person.path)):
             raise WorldFileError(path, f"people[{i}].path", person.path, "two points or more, each apart from the next")
-
-
-def distance_to_box(x: float, y: float, box: Obstacle) -> float:
-    """Distance in m of the point (x, y) to the box; 0 inside."""
-    dx, dy = max(box.x - x, 0.0, x - box.x - box.w), max(box.y - y, 0.0, y - box.y - box.b)
-    return math.hypot(dx, dy)
 
 
 def _robots(content: Mapping[str, Any], path: Path) -> dict[str, RobotEntry]:

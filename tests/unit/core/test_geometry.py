@@ -7,7 +7,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hitchhike_ros.core import geometry
-from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D, Twist2D
+from hitchhike_ros.core.geometry import distance_to_box, nearest_in_box
 
 coordinates = st.floats(-1e3, 1e3)
 angles = st.floats(-20.0, 20.0)
@@ -193,3 +194,11 @@ def test_point_in_polygon_of_an_l(x: float, y: float) -> None:
     expected = (0 < x < 4 and 0 < y < 1) or (0 < x < 1 and 0 < y < 3)
     assert geometry.point_in_polygon(x, y, L_SHAPE) == expected
     assert geometry.point_in_polygon(x, y, L_SHAPE[::-1]) == expected
+
+
+def test_distance_to_a_box_is_that_of_its_nearest_point() -> None:
+    box = Obstacle("obs1", 9.24, 6.08, 0.28, 0.16)
+    assert distance_to_box(9.3, 6.1, box) == 0.0
+    assert nearest_in_box(9.3, 6.1, box) == (9.3, 6.1)
+    assert distance_to_box(9.24 - 0.3, 6.24 + 0.4, box) == pytest.approx(0.5)
+    assert nearest_in_box(9.24 - 0.3, 6.24 + 0.4, box) == pytest.approx((9.24, 6.24))

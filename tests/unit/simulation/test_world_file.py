@@ -9,7 +9,7 @@ import yaml
 from hitchhike_ros.core.datatypes import Marker, Pose2D
 from hitchhike_ros.core.errors import WorldFileError
 from hitchhike_ros.mapping.sites import Sites, load_hitchhiking, load_sites
-from hitchhike_ros.simulation.world_file import distance_to_box, load_world
+from hitchhike_ros.simulation.world_file import load_world
 from simulated_room import PACKAGE
 
 SHIPPED = PACKAGE / "maps" / "p17_exp1.world.yaml"
@@ -169,9 +169,3 @@ def test_what_is_no_mapping_is_refused(text: str, tmp_path: Path) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(WorldFileError, match=r"nowhere\.world\.yaml.*readable"):
         load_world(tmp_path / "nowhere.world.yaml")
-
-
-def test_distance_to_a_box() -> None:
-    (box,) = load_world(SHIPPED).boxes[:1]  # x 9.24–9.52, y 6.08–6.24
-    assert distance_to_box(9.3, 6.1, box) == 0.0
-    assert distance_to_box(9.24 - 0.3, 6.24 + 0.4, box) == pytest.approx(0.5)

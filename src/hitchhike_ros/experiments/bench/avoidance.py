@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
+from hitchhike_ros.experiments.bench.corridor_drives import DriveResult, corridor_drives
 from hitchhike_ros.experiments.bench.registry import Findings, Options
-from hitchhike_ros.experiments.scenarios.corridor_drives import DriveResult, corridor_drives
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import write_results
-from hitchhike_ros.experiments.scoring.figures import Figure
+from hitchhike_ros.experiments.scoring.figures import Figure, median
 
 _DRIVES, _QUICK = 100, 4
 # The goal tolerance, and what localization may be off by beside it.
@@ -30,7 +28,7 @@ def run(options: Options, progress: Progress) -> Findings:
         Figure("goal error, worst", worst_m, "m", _GOAL_M),
         Figure("goal heading error, worst", worst_deg, "°", _GOAL_DEG),
         # Beside it: the straight way at cruise speed.
-        Figure("time of a drive, median", _median([d.duration_s for d in reached]), "s", peer=drives[0].straight_s),
+        Figure("time of a drive, median", median([d.duration_s for d in reached]), "s", peer=drives[0].straight_s),
         Figure("time of a drive, longest", max((d.duration_s for d in reached), default=None), "s"),
         Figure("time standing in a drive, longest", max(d.stood_s for d in drives), "s"),
     ]
@@ -43,7 +41,3 @@ def drives_of(options: Options, progress: Progress) -> tuple[DriveResult, ...]:
     drives = corridor_drives(options.package, seeds, progress)
     write_results(options.output / "drives.json", {"drives along the corridor": drives})
     return drives
-
-
-def _median(values: list[float]) -> float | None:
-    return float(np.median(values)) if values else None

@@ -11,12 +11,10 @@ itself again, and over the same way alone; and the memory of these processes mea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
-
-import numpy as np
 
 from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.experiments.bench.registry import Findings, Options
@@ -25,7 +23,7 @@ from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, load_record
 from hitchhike_ros.experiments.scenarios.ride_scenario import RideScenario, load_scenario
 from hitchhike_ros.experiments.scoring.cost_ledger import MAX_RIDE_COST, Stretch, compare, pss_mb, run_window
-from hitchhike_ros.experiments.scoring.figures import Figure
+from hitchhike_ros.experiments.scoring.figures import Figure, median
 from hitchhike_ros.experiments.scoring.rides import Window, find_ride
 
 Wiring = Literal["separate", "one_process"]
@@ -174,16 +172,16 @@ def figures(pairs: Sequence[Pair], rounds: int) -> list[Figure]:
     for wiring, bound in zip(WIRINGS, (MAX_RIDE_COST, _MAX_RIDE_IN_ONE), strict=True):
         own = list(by[wiring].values())
         found += [
-            Figure(f"{wiring}_cpu_rider", _median(p.rider.cpu_s_per_metre for p in own), "s/m"),
-            Figure(f"{wiring}_cpu_alone", _median(p.alone.cpu_s_per_metre for p in own), "s/m"),
-            Figure(f"{wiring}_cpu_ratio", _median(p.ratio for p in own), "", bound),
-            Figure(f"{wiring}_pss_rider", _median(p.rider.pss_mb for p in own), "MB"),
-            Figure(f"{wiring}_pss_alone", _median(p.alone.pss_mb for p in own), "MB"),
+            Figure(f"{wiring}_cpu_rider", median(p.rider.cpu_s_per_metre for p in own), "s/m"),
+            Figure(f"{wiring}_cpu_alone", median(p.alone.cpu_s_per_metre for p in own), "s/m"),
+            Figure(f"{wiring}_cpu_ratio", median(p.ratio for p in own), "", bound),
+            Figure(f"{wiring}_pss_rider", median(p.rider.pss_mb for p in own), "MB"),
+            Figure(f"{wiring}_pss_alone", median(p.alone.pss_mb for p in own), "MB"),
         ]
     both = [(by["one_process"][seed], by["separate"][seed]) for seed in by["separate"] if seed in by["one_process"]]
-    alone = _median(one.alone.cpu_s_per_metre / apart.alone.cpu_s_per_metre for one, apart in both)
-    rider = _median(one.rider.cpu_s_per_metre / apart.rider.cpu_s_per_metre for one, apart in both)
-    memory = _median(one.rider.pss_mb / apart.rider.pss_mb for one, apart in both)
+    alone = median(one.alone.cpu_s_per_metre / apart.alone.cpu_s_per_metre for one, apart in both)
+    rider = median(one.rider.cpu_s_per_metre / apart.rider.cpu_s_per_metre for one, apart in both)
+    memory = median(one.rider.pss_mb / apart.rider.pss_mb for one, apart in both)
     return [
         *found,
         Figure("one_process_by_separate_cpu_alone", alone, "", _MAX_ALONE),
@@ -233,8 +231,3 @@ def _table(pairs: Sequence[Pair]) -> Table:
     ]
     header = ["", "rider s/m", "alone s/m", "ratio", "rider PSS", "alone PSS", "rider late", "alone late"]
     return Table("Pairs of runs", header, rows)
-
-
-def _median(values: Iterable[float]) -> float | None:
-    found = list(values)
-    return float(np.median(found)) if found else None

@@ -30,14 +30,9 @@ def couple(package: Path, place: CouplingPlace, seed: int) -> CouplingResult:
         composed = ComposedRide(world, package, changes=CHANGES)
         recorder = ComposedRecorder(composed, seed)
         composed.start({name: PoseEstimate(0.0, entry.start, SIGMA) for name, entry in file.robots.items()})
-        rode = False
-        for _ in recorder.run(LIMIT_S):
-            rider = composed.robots[RIDER].status
-            rode = rode or rider.state == "riding"
-            if rode and rider.role != "hitchhiker":
-                break
+        recorder.run_ride(RIDER, LIMIT_S)
         ride = find_ride(recorder.record)
-        contacts = tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in world.contacts())
+        contacts = tuple(map(str, world.contacts()))
     if ride is None:
         return CouplingResult(seed, None, None, contacts)
     return CouplingResult(seed, ride.couple_s, ride.decouple_s, contacts)

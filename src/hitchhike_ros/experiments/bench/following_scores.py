@@ -44,19 +44,14 @@ def ride(package: Path, course: Course, seed: int) -> RideResult:
         recorder = ComposedRecorder(composed, seed)
         starts = {name: PoseEstimate(0.0, entry.start, SIGMA) for name, entry in world.file.robots.items()}
         composed.start(starts, course.doors)
-        rode = False
-        for _ in recorder.run(course.limit_s):
-            rider = composed.robots[RIDER].status
-            rode = rode or rider.state == "riding"
-            if rode and rider.role != "hitchhiker":
-                break
+        recorder.run_ride(RIDER, course.limit_s)
         return score_ride(recorder.record, seed, composed.robots[RIDER].status.reason)
 
 
 def score_ride(record: RideRecord, seed: int, end: str) -> RideResult:
     """Errors from coupling to decoupling; a ride that does not come so far has none."""
     found = find_ride(record)
-    contacts = tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in record.contacts)
+    contacts = tuple(map(str, record.contacts))
     lost = sum(status.state == "seeking" for status in record.robots[RIDER].statuses)
     if found is None or found.window is None:
         return RideResult(seed, end or "no ride", 0.0, None, None, None, lost, contacts)

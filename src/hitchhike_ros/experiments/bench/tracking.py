@@ -29,6 +29,7 @@ from hitchhike_ros.experiments.bench.registry import Findings, Options
 from hitchhike_ros.experiments.bench.tag_images import LIGHTS, Conditions, marker_pose, tag_image
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scoring.figures import Figure
+from hitchhike_ros.servoing.lens import GrayImage
 from hitchhike_ros.servoing.marker_detector import (
     T_TAG_MARKER,
     MarkerDetection,
@@ -40,7 +41,6 @@ from hitchhike_ros.servoing.marker_detector import (
 from hitchhike_ros.servoing.marker_tracker import MarkerTracker, ModelTracker
 from hitchhike_ros.servoing.square_pose import project_corners
 
-GrayImage = npt.NDArray[np.uint8]
 _T = TypeVar("_T")
 
 CAMERA = CameraInfo(640, 480, np.array([[554.26, 0.0, 319.5], [0.0, 554.26, 239.5], [0.0, 0.0, 1.0]]))

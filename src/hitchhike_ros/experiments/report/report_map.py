@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, Obstacle
+from hitchhike_ros.experiments.report.driven_area import driven_area
 from hitchhike_ros.experiments.report.report_plots import TimeAxis, state_text
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord
 from hitchhike_ros.experiments.scoring.network_rides import NetworkRide
@@ -21,7 +22,6 @@ from hitchhike_ros.experiments.scoring.tracks import poses_at
 from hitchhike_ros.mapping.grid import FREE, OCCUPIED, OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 
-_MARGIN_M = 1.2
 _MIN_SIDE_M = 5.0
 # Of a replay (chosen): smooth to the eye, and small.
 _REPLAY_STEP_S, _REPLAY_STEPS = 0.2, 800
@@ -123,13 +123,11 @@ def replay(record: RideRecord, axis: TimeAxis) -> dict[str, object]:
 
 
 def _view(record: RideRecord, grid: OccupancyGrid | None) -> tuple[float, float, float, float] | None:
-    """What was driven, with a margin; all that is free when nothing was."""
-    points = np.array([(p.x, p.y) for robot in record.robots.values() for p in robot.truth]).reshape(-1, 2)
-    if not len(points) and grid is not None:
-        points = grid.cell_to_world(np.argwhere(np.equal(grid.data, FREE)))
-    if not len(points):
+    """What is shown, as an SVG's viewBox."""
+    area = driven_area(record, grid)
+    if area is None:
         return None
-    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
+    low, high = area
     grow = np.maximum(0.0, _MIN_SIDE_M - (high - low)) / 2.0
     low, high = low - grow, high + grow
     width, height = high - low

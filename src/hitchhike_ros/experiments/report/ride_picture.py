@@ -13,6 +13,7 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.transforms import Affine2D
 
 from hitchhike_ros.core.datatypes import HitchhikingPoint, Obstacle
+from hitchhike_ros.experiments.report.driven_area import driven_area
 from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, RobotRecord
 from hitchhike_ros.experiments.scoring.rides import Ride
 from hitchhike_ros.experiments.scoring.tracks import poses_at
@@ -20,14 +21,16 @@ from hitchhike_ros.mapping.grid import FREE, OCCUPIED, OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 
 _DRIVER, _HITCHHIKER, _BOX = "#0072B2", "#D55E00", "#009E73"  # told apart by the colour-blind too (Okabe and Ito)
-_MARGIN_M = 1.2
 # The picture's width, and what is beside the axes for labels, title and legend.
 _WIDTH_IN, _LEFT_IN, _RIGHT_IN, _TOP_IN, _BOTTOM_IN = 14.0, 0.7, 0.2, 0.5, 1.1
 
 
 def draw_ride(path: Path, record: RideRecord, ride: Ride | None, grid: OccupancyGrid, sites: Sites, title: str) -> None:
     """Write the picture as PNG to ``path``."""
-    x0, x1, y0, y1 = _view(record, grid)
+    area = driven_area(record, grid)
+    if area is None:  # nothing was driven, and nothing in the map is free
+        return
+    (x0, y0), (x1, y1) = area.tolist()
     width, height = _WIDTH_IN - _LEFT_IN - _RIGHT_IN, (y1 - y0) / (x1 - x0) * (_WIDTH_IN - _LEFT_IN - _RIGHT_IN)
     tall = height + _BOTTOM_IN + _TOP_IN
     figure = Figure(figsize=(_WIDTH_IN, tall))
@@ -48,14 +51,6 @@ def draw_ride(path: Path, record: RideRecord, ride: Ride | None, grid: Occupancy
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=6, frameon=False)
     FigureCanvasAgg(figure).print_png(str(path))
-
-
-def _view(record: RideRecord, grid: OccupancyGrid) -> tuple[float, float, float, float]:
-    """x and y limits: what was driven with a margin, or all that is free when nothing was."""
-    driven = [(p.x, p.y) for robot in record.robots.values() for p in robot.truth]
-    points = np.array(driven) if driven else grid.cell_to_world(np.argwhere(np.equal(grid.data, FREE)))
-    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def _draw_map(axes: Axes, grid: OccupancyGrid) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hitchhike_ros.experiments.scenarios.ride_record import RecordedContact
 from hitchhike_ros.experiments.scenarios.ride_recorder import RideRecorder
 from hitchhike_ros.simulation.composed import ComposedRide
 
@@ -33,5 +32,14 @@ class ComposedRecorder:
                 for estimate in robot.taken[len(known.initial_poses) :]:
                     recorder.initial_pose(name, estimate)
             for contact in world.contacts()[len(self.record.contacts) :]:
-                recorder.contact(RecordedContact(contact.stamp, contact.robot, contact.other, contact.x, contact.y))
+                recorder.contact(contact)
             yield world.now
+
+    def run_ride(self, rider: str, limit_s: float) -> None:
+        """Step until ``rider`` has ridden and rides no more, or until ``limit_s`` of simulated time."""
+        rode = False
+        for _ in self.run(limit_s):
+            status = self._ride.robots[rider].status
+            rode = rode or status.state == "riding"
+            if rode and status.role != "hitchhiker":
+                return

@@ -158,7 +158,7 @@ def lose(package: Path, seed: int) -> LostResult:
             ends[0],
             ends[1],
             tuple(status.state for status in recorder.record.robots[RIDER].statuses),
-            tuple(f"{c.robot} and {c.other} at {c.stamp:.1f} s" for c in world.contacts()),
+            tuple(map(str, world.contacts())),
             world.now,
             max(distance(world.robots[n].ground_truth()[0], e.goal or e.start) for n, e in file.robots.items()),
             mishap.short,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from hitchhike_ros.core.datatypes import Obstacle, Pose2D, PoseEstimate
+from hitchhike_ros.core.datatypes import Contact, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import InputFileError
 from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.messages import Covariance, covariance_rows
@@ -54,17 +54,6 @@ class TimedText:
 
     stamp: float
     text: str
-
-
-@dataclass(frozen=True)
-class RecordedContact:
-    """A robot touched something at (x, y)."""
-
-    stamp: float
-    robot: str
-    other: str
-    x: float
-    y: float
 
 
 @dataclass(frozen=True)
@@ -165,7 +154,7 @@ class RideRecord:
     true_boxes: tuple[Obstacle, ...]
     robots: dict[str, RobotRecord]
     messages: list[TimedText] = field(default_factory=list)
-    contacts: list[RecordedContact] = field(default_factory=list)
+    contacts: list[Contact] = field(default_factory=list)
     cpu: list[CpuSample] = field(default_factory=list)
     traffic: list[TrafficSample] = field(default_factory=list)
     memory: list[MemorySample] = field(default_factory=list)

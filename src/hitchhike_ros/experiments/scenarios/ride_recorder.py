@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate, Positive
+from hitchhike_ros.core.datatypes import Contact, MarkerObservation, Obstacle, Pose2D, PoseEstimate, Positive
 from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.robot_model import mount
 from hitchhike_ros.experiments.scenarios.ride_record import (
     ClockSample,
     CpuSample,
     MemorySample,
-    RecordedContact,
     RideRecord,
     RobotRecord,
     StepSample,
@@ -133,7 +132,7 @@ class RideRecorder:
         """A message that a robot sent to the others."""
         self.record.messages.append(TimedText(stamp, text))
 
-    def contact(self, contact: RecordedContact) -> None:
+    def contact(self, contact: Contact) -> None:
         """A robot touched something."""
         self.record.contacts.append(contact)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, Obstacle
+from hitchhike_ros.core.geometry import distance_to_box
 
 # A found box belongs to a true one when their centres are nearer than this (chosen: less than any two boxes' distance).
 _BOX_MATCH_M = 0.5
@@ -26,24 +27,41 @@ class BoxMatch:
     size_m: float | None = None
 
 
-def match_boxes(true: Iterable[Obstacle], found: Iterable[Obstacle]) -> list[BoxMatch]:
-    """Each true box with the found one whose centre is nearest, nearest pairs first; no box is used twice."""
+def centres_apart_m(true: Obstacle, found: Obstacle) -> float:
+    """The distance of the centres of two boxes in m."""
+    return float(np.linalg.norm(_centre(true) - _centre(found)))
+
+
+def beside_m(true: Obstacle, found: Obstacle) -> float:
+    """How far the found box's centre is outside of the true box, in m."""
+    x, y = _centre(found)
+    return distance_to_box(float(x), float(y), true)
+
+
+def match_boxes(
+    true: Iterable[Obstacle],
+    found: Iterable[Obstacle],
+    apart_m: Callable[[Obstacle, Obstacle], float] = centres_apart_m,
+    most_m: float = _BOX_MATCH_M,
+) -> list[BoxMatch]:
+    """Each true box with the nearest found one, nearest pairs first; no box is used twice.
+
+    ``apart_m`` measures how far a true box and a found one are apart, which is at most ``most_m`` where they match.
+    """
     true, found = list(true), list(found)
-    pairs = sorted(
-        (float(np.linalg.norm(_centre(t) - _centre(f))), i, j) for i, t in enumerate(true) for j, f in enumerate(found)
-    )
-    partner: dict[int, tuple[int, float]] = {}
+    pairs = sorted((apart_m(t, f), i, j) for i, t in enumerate(true) for j, f in enumerate(found))
+    partner: dict[int, int] = {}
     for off, i, j in pairs:
-        if off <= _BOX_MATCH_M and i not in partner and j not in {other for other, _ in partner.values()}:
-            partner[i] = (j, off)
+        if off <= most_m and i not in partner and j not in partner.values():
+            partner[i] = j
     matches = []
     for i, box in enumerate(true):
         if i not in partner:
             matches.append(BoxMatch(box, None))
             continue
-        j, off = partner[i]
-        size = max(abs(box.w - found[j].w), abs(box.b - found[j].b))
-        matches.append(BoxMatch(box, found[j], off, size))
+        other = found[partner[i]]
+        size = max(abs(box.w - other.w), abs(box.b - other.b))
+        matches.append(BoxMatch(box, other, centres_apart_m(box, other), size))
     return matches
 
 

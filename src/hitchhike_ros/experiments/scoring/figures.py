@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -88,3 +88,9 @@ def _summary(figures: Sequence[Figure | None]) -> Summary:
         runs=len(figures),
         failed=failed,
     )
+
+
+def median(values: Iterable[float]) -> float | None:
+    """The value in the middle, None where there are none."""
+    found = list(values)
+    return float(np.median(found)) if found else None

@@ -13,8 +13,8 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from std_msgs.msg import String
 
+from hitchhike_ros.core.datatypes import Contact
 from hitchhike_ros.core.errors import MessageError
-from hitchhike_ros.experiments.scenarios.ride_record import RecordedContact
 from hitchhike_ros.experiments.scenarios.ride_recorder import RideRecorder
 from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.messages import NewObstacles
@@ -72,7 +72,7 @@ def _take_message(recorder: RideRecorder, _name: str, msg: String) -> None:
 
 
 def _take_contact(recorder: RideRecorder, _name: str, msg: String) -> None:
-    recorder.contact(_decode(msg, RecordedContact))
+    recorder.contact(_decode(msg, Contact))
 
 
 def _take_diagnostics(recorder: RideRecorder, _name: str, msg: DiagnosticArray) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import FloatArray, Obstacle
+from hitchhike_ros.core.datatypes import BoolArray, FloatArray, Obstacle
 from hitchhike_ros.core.errors import (
     GoalBlockedError,
     OutsideMapError,
@@ -21,7 +21,8 @@ from hitchhike_ros.core.errors import (
     StartBlockedError,
     UnreachableError,
 )
-from hitchhike_ros.mapping.grid import BoolArray, CellArray, OccupancyGrid, distance_to
+from hitchhike_ros.core.geometry import nearest_in_box
+from hitchhike_ros.mapping.grid import CellArray, OccupancyGrid, distance_to
 from hitchhike_ros.planning.astar import Cell, CostArray
 from hitchhike_ros.planning.costmap import CostmapParameters, label_regions
 from hitchhike_ros.planning.dstar_lite import DStarLite
@@ -139,7 +140,7 @@ class GridPaths:
 
     def sees_box(self, at: Point, box: Obstacle) -> bool:
         """Whether the nearest edge of the box can be seen; the box hides what is behind that edge."""
-        nearest = _nearest(at, box)
+        nearest = nearest_in_box(*at, box)
         apart = math.dist(at, nearest)
         before = 1.0 - min(1.0, 1.5 * self._resolution / apart) if apart else 0.0
         return self.sees(at, (at[0] + before * (nearest[0] - at[0]), at[1] + before * (nearest[1] - at[1])))
@@ -267,12 +268,3 @@ def corners(path: FloatArray) -> FloatArray:
     turns = np.abs(steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]) > 1e-9
     turns |= (steps[:-1] * steps[1:]).sum(axis=1) < 0.0
     return np.asarray(path[np.concatenate([[True], turns, [True]])])
-
-
-def distance_to_box(at: Point, box: Obstacle) -> float:
-    """The distance of a point to a box in m; 0 inside."""
-    return math.dist(at, _nearest(at, box))
-
-
-def _nearest(at: Point, box: Obstacle) -> Point:
-    return min(max(at[0], box.x), box.x + box.w), min(max(at[1], box.y), box.y + box.b)

@@ -10,13 +10,13 @@ import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import PlanningError
-from hitchhike_ros.core.geometry import between
+from hitchhike_ros.core.geometry import between, distance_to_box
 from hitchhike_ros.protocol.events import NavigationReport, Situation
 from hitchhike_ros.protocol.status import ServoCommand
 from hitchhike_ros.simulation.grid.body import Body
 from hitchhike_ros.simulation.grid.camera import MarkerCamera
 from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
-from hitchhike_ros.simulation.grid.paths import GridPaths, corners, distance_to_box
+from hitchhike_ros.simulation.grid.paths import GridPaths, corners
 from hitchhike_ros.simulation.grid.robot import GridRobot
 
 
@@ -71,7 +71,7 @@ class StandIns:
         if not (status.modules.MAP and status.modules.LZN):
             return
         for box in self._boxes:
-            near = distance_to_box((body.x, body.y), box) <= self._params.perception_m + 0.5
+            near = distance_to_box(body.x, body.y, box) <= self._params.perception_m + 0.5
             if near and box.id not in robot.known and self._paths.sees_box((body.x, body.y), box):
                 self.learn(robot, box)
         if robot.goal_id and status.goal is not None and not status.goal.along_wall and body.remaining_m > 0.0:

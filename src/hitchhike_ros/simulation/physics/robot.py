@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pybullet as p
 
-from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, LaserScan, Marker, Odometry, Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import CameraInfo, Contact, FloatArray, LaserScan, Marker, Odometry, Pose2D, Twist2D
 from hitchhike_ros.core.errors import RobotModelError
 from hitchhike_ros.core.geometry import matrix_from_xyz_rpy, pose_from_matrix
 from hitchhike_ros.core.parameters import load_parameters
@@ -39,17 +39,6 @@ _TAG_LINK = """<robot>
 <visual><geometry><mesh filename="{white}"/></geometry>
 <material name="tag_white"><color rgba="1 1 1 1"/></material></visual>
 </link></robot>"""
-
-
-@dataclass(frozen=True)
-class Contact:
-    """A robot began to touch something at (x, y) in ``map``: ``other`` is ``walls``, a box, a person or a robot."""
-
-    stamp: float
-    robot: str
-    other: str
-    x: float
-    y: float
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 import pybullet as p
 
-from hitchhike_ros.core.datatypes import Marker, Positive
+from hitchhike_ros.core.datatypes import Contact, Marker, Positive
 from hitchhike_ros.core.errors import WorldFileError
-from hitchhike_ros.core.geometry import distance
+from hitchhike_ros.core.geometry import distance, distance_to_box
 from hitchhike_ros.core.stamps import carried
 from hitchhike_ros.mapping.grid import FREE
 from hitchhike_ros.mapping.map_file import load_map
@@ -29,7 +29,6 @@ from hitchhike_ros.simulation.physics.robot import (
     FLOOR_GROUP,
     ROLLING_GROUP,
     SOLID_GROUP,
-    Contact,
     Engine,
     SimulatedRobot,
     robot_files,
@@ -37,7 +36,7 @@ from hitchhike_ros.simulation.physics.robot import (
 from hitchhike_ros.simulation.physics.tags import write_tag
 from hitchhike_ros.simulation.physics.walking_bodies import WalkingBody, cylinder
 from hitchhike_ros.simulation.physics.walls import wall_mesh, write_obj
-from hitchhike_ros.simulation.world_file import Box, WorldFile, check_box, distance_to_box, load_world
+from hitchhike_ros.simulation.world_file import Box, WorldFile, check_box, load_world
 
 Steps = Annotated[int, msgspec.Meta(ge=1)]
 

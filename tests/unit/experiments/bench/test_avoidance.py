@@ -10,8 +10,8 @@ import pytest
 
 from hitchhike_ros.core.datatypes import Obstacle
 from hitchhike_ros.experiments.bench import avoidance, mapping
+from hitchhike_ros.experiments.bench.corridor_drives import DriveResult
 from hitchhike_ros.experiments.bench.registry import Benchmark, Options
-from hitchhike_ros.experiments.scenarios.corridor_drives import DriveResult
 from simulated_room import PACKAGE
 
 GOOD = DriveResult(0, "p3dx", "Goal reached", (), 25.0, 0.05, 0.02, 3, 3, (), 0.02, 0.03, 1.0, 23.3)

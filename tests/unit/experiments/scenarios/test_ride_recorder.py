@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
+from hitchhike_ros.core.datatypes import Contact, MarkerObservation, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.experiments.scenarios.ride_record import (
     CpuSample,
     MemorySample,
-    RecordedContact,
     StepSample,
     TimedPose,
     TrafficSample,
@@ -62,7 +61,7 @@ def test_each_robot_keeps_what_it_did_and_believed(recorder: RideRecorder) -> No
 
 
 def test_the_run_keeps_messages_contacts_and_samples(recorder: RideRecorder) -> None:
-    contact, cpu = RecordedContact(2.0, "p3dx", "walls", 1.0, 1.0), CpuSample(1.0, 100.0, "/p3dx/slam", 0.5, 40.0)
+    contact, cpu = Contact(2.0, "p3dx", "walls", 1.0, 1.0), CpuSample(1.0, 100.0, "/p3dx/slam", 0.5, 40.0)
     recorder.message(1.0, "{}")
     recorder.contact(contact)
     recorder.cpu(cpu)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hitchhike_ros.core.datatypes import Contact
 from hitchhike_ros.experiments.scenarios.ride_record import (
-    RecordedContact,
     RideRecord,
     RobotRecord,
     TimedPose,
@@ -80,7 +80,7 @@ def test_other_worlds_have_no_length_to_compare_with(record: RideRecord) -> None
 
 
 def test_contacts_and_missing_boxes_break_their_bounds(record: RideRecord) -> None:
-    record.contacts.append(RecordedContact(3.0, "p3dx", "walls", 1.0, 2.0))
+    record.contacts.append(Contact(3.0, "p3dx", "walls", 1.0, 2.0))
     record.robots["turtlebot"].obstacles = record.robots["turtlebot"].obstacles[:1]
     figures = figures_of(record)
     assert (figures["contacts"].ok, figures["boxes_found"].ok) == (False, False)

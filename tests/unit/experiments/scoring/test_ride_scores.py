@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.core.datatypes import Contact, Pose2D
 from hitchhike_ros.experiments.scenarios.paper import PaperTimes
-from hitchhike_ros.experiments.scenarios.ride_record import RecordedContact, RideRecord, TimedPose, TimedText
+from hitchhike_ros.experiments.scenarios.ride_record import RideRecord, TimedPose, TimedText
 from hitchhike_ros.experiments.scenarios.ride_scenario import ExpectedDenial, ExpectedRide, RideScenario
 from hitchhike_ros.experiments.scoring.figures import Figure
 from hitchhike_ros.experiments.scoring.ride_scores import Score, score, score_in, steps
@@ -83,7 +83,7 @@ def test_a_robot_that_does_not_arrive_is_trouble() -> None:
 
 def test_a_contact_is_trouble() -> None:
     record = synthetic_ride()
-    record.contacts = [RecordedContact(30.0, "p3dx", "obs1", 9.2, 6.1)]
+    record.contacts = [Contact(30.0, "p3dx", "obs1", 9.2, 6.1)]
     assert judged(SCENARIO, record).trouble == "p3dx touched obs1 at 30.0 s"
 
 

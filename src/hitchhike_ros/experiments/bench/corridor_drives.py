@@ -14,14 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from hitchhike_ros.core.datatypes import Obstacle, Pose2D, PoseEstimate
-from hitchhike_ros.core.geometry import compose, distance, wrap_angle
+from hitchhike_ros.core.geometry import compose, distance, distance_to_box, wrap_angle
 from hitchhike_ros.experiments.scenarios.progress import Progress
 from hitchhike_ros.experiments.scenarios.runs import run_all
+from hitchhike_ros.experiments.scoring.boxes import beside_m, match_boxes
 from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.simulation.composed import FRAME_RATE_HZ, ComposedRide
 from hitchhike_ros.simulation.people import RADIUS_M, Person
 from hitchhike_ros.simulation.physics.world import World, WorldParameters
-from hitchhike_ros.simulation.world_file import Box, RobotEntry, WorldFile, distance_to_box, load_world
+from hitchhike_ros.simulation.world_file import Box, RobotEntry, WorldFile, load_world
 
 MODELS = ("turtlebot", "p3dx")
 _START, _GOAL = Pose2D(6.0, 5.72, 0.0), Pose2D(20.0, 5.72, 0.0)
@@ -145,17 +146,10 @@ def compare_boxes(
     found: Sequence[Obstacle], true: Sequence[Obstacle]
 ) -> tuple[int, tuple[Obstacle, ...], float, float]:
     """How many true boxes were found, which found ones are none, and the worst errors of place and of size in m."""
-    phantoms, matched, place, size = [], set(), 0.0, 0.0
-    for box in found:
-        x, y = box.x + box.w / 2, box.y + box.b / 2
-        near = min(true, key=lambda t: distance_to_box(x, y, t))
-        if distance_to_box(x, y, near) > _MATCH_M or near.id in matched:
-            phantoms.append(box)
-            continue
-        matched.add(near.id)
-        place = max(place, abs(box.x - near.x), abs(box.y - near.y))
-        size = max(size, abs(box.w - near.w), abs(box.b - near.b))
-    return len(matched), tuple(phantoms), place, size
+    matches = [m for m in match_boxes(true, found, beside_m, _MATCH_M) if m.found is not None]
+    phantoms = tuple(box for box in found if all(match.found is not box for match in matches))
+    place = max((max(abs(m.found.x - m.true.x), abs(m.found.y - m.true.y)) for m in matches if m.found), default=0.0)
+    return len(matches), phantoms, place, max((match.size_m or 0.0 for match in matches), default=0.0)
 
 
 @cache

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from hitchhike_ros.core.datatypes import Obstacle
-from hitchhike_ros.experiments.scenarios.corridor_drives import MODELS, compare_boxes, draw_world
+from hitchhike_ros.core.geometry import distance_to_box
+from hitchhike_ros.experiments.bench.corridor_drives import MODELS, compare_boxes, draw_world
 from hitchhike_ros.simulation.people import RADIUS_M
-from hitchhike_ros.simulation.world_file import distance_to_box, load_world
+from hitchhike_ros.simulation.world_file import load_world
 from simulated_room import PACKAGE
 
 BASE = load_world(PACKAGE / "maps" / "p17_exp1.world.yaml")
