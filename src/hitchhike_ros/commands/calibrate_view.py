@@ -22,8 +22,8 @@ from hitchhike_ros.modules.visual_servoing import View, VisualServoing, VisualSe
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
+from hitchhike_ros.ros_io.outlets import outlets
 from hitchhike_ros.ros_io.parameters import private_parameters
-from hitchhike_ros.ros_io.topics import outlets
 from hitchhike_ros.servoing.view_statistics import ViewStatistics, sighting
 
 

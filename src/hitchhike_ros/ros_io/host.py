@@ -24,8 +24,10 @@ from sensor_msgs.msg import Image
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.modules.module import Level, Module, Order, Outputs, Refused
 from hitchhike_ros.protocol.status import Status
+from hitchhike_ros.ros_io.inlets import INLETS, Inlet
 from hitchhike_ros.ros_io.node import Diagnostics, LockstepAnswer
-from hitchhike_ros.ros_io.topics import INLETS, Inlet, Outlet, resolve
+from hitchhike_ros.ros_io.outlets import Outlet
+from hitchhike_ros.ros_io.parameters import resolve
 
 T = TypeVar("T")
 

@@ -96,3 +96,12 @@ def frame(name: str) -> str:
     """``<robot>/name``: the robot's frames carry ``~tf_prefix``, by default the node's namespace."""
     prefix = str(given("tf_prefix", rospy.get_namespace())).strip("/")
     return f"{prefix}/{name}" if prefix else name
+
+
+def resolve(topic: str) -> str:
+    """``topic``, or the one that a private parameter of the node names.
+
+    Raises:
+        ParameterError: the parameter is no name of a topic.
+    """
+    return network_topic(topic[1:]) if topic.startswith("~") else topic

@@ -36,7 +36,8 @@ from hitchhike_ros.ros_io.conversions import (
     scan_to_msg,
 )
 from hitchhike_ros.ros_io.host import ModuleHost, Single
-from hitchhike_ros.ros_io.topics import INLETS, outlets
+from hitchhike_ros.ros_io.inlets import INLETS
+from hitchhike_ros.ros_io.outlets import outlets
 from hitchhike_ros.simulation.composed import ComposedRide
 from hitchhike_ros.simulation.physics.world import World
 from repository import ROOT

@@ -19,7 +19,7 @@ from hitchhike_ros.modules.inputs import NavigationCommand, NetworkText
 from hitchhike_ros.modules.module import Health, Level, Order, Outputs, Refused
 from hitchhike_ros.protocol.status import Status, encode_status
 from hitchhike_ros.ros_io.host import ModuleHost, Single
-from hitchhike_ros.ros_io.topics import Outlet
+from hitchhike_ros.ros_io.outlets import Outlet
 
 
 @dataclass(frozen=True, kw_only=True)

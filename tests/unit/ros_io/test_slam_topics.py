@@ -18,7 +18,8 @@ from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, In
 from hitchhike_ros.modules.module import Health
 from hitchhike_ros.modules.slam import SlamOutputs
 from hitchhike_ros.ros_io.conversions import estimate_to_msg
-from hitchhike_ros.ros_io.topics import HITCHHIKE_COMM, INLETS, slam_outlets
+from hitchhike_ros.ros_io.inlets import INLETS
+from hitchhike_ros.ros_io.outlets import HITCHHIKE_COMM, slam_outlets
 
 ESTIMATE = PoseEstimate(2.5, Pose2D(1.0, 2.0, 0.5), np.diag([0.01, 0.02, 0.03]))
 BOX = Obstacle("obs1", 1.0, 2.0, 0.5, 0.25)

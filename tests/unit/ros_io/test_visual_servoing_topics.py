@@ -16,7 +16,7 @@ from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import ModuleSwitches, ServoCommand, Status, encode_status
 from hitchhike_ros.ros_io.conversions import camera_info_to_msg, header, image_to_msg
 from hitchhike_ros.ros_io.host import ModuleHost, Single
-from hitchhike_ros.ros_io.topics import visual_servoing_outlets
+from hitchhike_ros.ros_io.outlets import visual_servoing_outlets
 from hitchhike_ros.servoing.follow import FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.marker_tracker import MarkerTracker

@@ -41,7 +41,7 @@ from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import outlets
+from hitchhike_ros.ros_io.outlets import outlets
 
 
 class Surroundings:

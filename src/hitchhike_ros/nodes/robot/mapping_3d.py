@@ -36,7 +36,7 @@ from hitchhike_ros.modules.mapping_3d import Mapping3D
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import outlets
+from hitchhike_ros.ros_io.outlets import outlets
 
 
 def build() -> ModuleHost:

@@ -35,7 +35,7 @@ from hitchhike_ros.ros_io.conversions import pose_from_msg
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import outlets, path_of
+from hitchhike_ros.ros_io.outlets import outlets, path_of
 
 
 def build() -> ModuleHost:

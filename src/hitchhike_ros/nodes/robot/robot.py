@@ -25,8 +25,8 @@ from hitchhike_ros.nodes.robot.slam import localization_method, serve_global_loc
 from hitchhike_ros.ros_io.host import ModuleHost
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
+from hitchhike_ros.ros_io.outlets import outlets
 from hitchhike_ros.ros_io.parameters import given
-from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:

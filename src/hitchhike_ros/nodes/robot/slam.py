@@ -52,8 +52,8 @@ from hitchhike_ros.modules.slam import Slam
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
+from hitchhike_ros.ros_io.outlets import outlets
 from hitchhike_ros.ros_io.parameters import given, is_given
-from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:

@@ -45,8 +45,8 @@ from hitchhike_ros.modules.module import Outputs
 from hitchhike_ros.modules.teleoperation import HumanLeaves, KeysPressed, Teleoperation, TeleopOutputs
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
+from hitchhike_ros.ros_io.outlets import outlets
 from hitchhike_ros.ros_io.parameters import node_parameters
-from hitchhike_ros.ros_io.topics import outlets
 
 
 class TeleopNode:

@@ -22,7 +22,7 @@ from hitchhike_ros.modules.velocity_mux import VelocityMux
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
-from hitchhike_ros.ros_io.topics import outlets
+from hitchhike_ros.ros_io.outlets import outlets
 
 
 def build() -> ModuleHost:

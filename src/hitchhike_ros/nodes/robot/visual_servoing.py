@@ -51,8 +51,8 @@ from hitchhike_ros.modules.visual_servoing import VisualServoing
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
+from hitchhike_ros.ros_io.outlets import outlets
 from hitchhike_ros.ros_io.parameters import is_given, private_parameters
-from hitchhike_ros.ros_io.topics import outlets
 
 
 def build() -> ModuleHost:

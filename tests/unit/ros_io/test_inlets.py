@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 import rospy
@@ -16,7 +15,6 @@ from std_msgs.msg import Bool, String
 from hitchhike_ros.core.datatypes import CameraInfo, Pose2D, Twist2D
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.mapping.octree import OccupancyOctree, OctreeParameters, read_voxels
 from hitchhike_ros.modules.inputs import (
     NO_PATH,
     DepthCameraInfo,
@@ -29,9 +27,9 @@ from hitchhike_ros.modules.inputs import (
     TeleopCommand,
 )
 from hitchhike_ros.protocol.events import NavigationReport
-from hitchhike_ros.protocol.map_transfer import Transfer
 from hitchhike_ros.ros_io.conversions import camera_info_to_msg, grid_to_msg, image_to_msg
-from hitchhike_ros.ros_io.topics import INLETS, MAPPING_3D, OBSTACLE_AVOIDANCE, PATH_PLANNING, TELEOP, Outlet
+from hitchhike_ros.ros_io.inlets import INLETS
+from hitchhike_ros.ros_io.outlets import OBSTACLE_AVOIDANCE, PATH_PLANNING, TELEOP, Outlet
 
 
 @pytest.fixture(autouse=True)
@@ -89,10 +87,6 @@ def test_what_a_human_wants_arrives() -> None:
     assert joystick == Joystick((0.5, -1.0), (0, 1))
 
 
-def test_the_report_of_a_plan_is_published_before_it() -> None:
-    assert [outlet.field for outlet in PATH_PLANNING] == ["report", "plan"]
-
-
 @pytest.mark.parametrize("what", [PlanReport, NavigationReport])
 @pytest.mark.parametrize("text", ["", "{}", '{"goal_id": 1, "state": "idle"}', "[]"])
 def test_a_text_that_is_no_report_is_refused(what: type, text: str) -> None:
@@ -139,23 +133,3 @@ def test_the_calibration_of_the_depth_camera_is_not_that_of_the_camera() -> None
     assert inlet.topic != INLETS[CameraInfo].topic
     assert (arrived.info.width, arrived.info.height) == (4, 3)
     np.testing.assert_array_equal(arrived.info.K, info.K)
-
-
-def test_a_map_is_published_whole_and_as_voxels_on_demand() -> None:
-    tree = OccupancyOctree(OctreeParameters(stride=1))
-    tree.insert(np.ones((3, 4), np.float32), CameraInfo(4, 3, np.diag([5.0, 6.0, 1.0])), np.eye(4))
-    by_topic = {outlet.topic: outlet for outlet in MAPPING_3D}
-    file, cells = by_topic["octomap_binary"], by_topic["occupied_cells_vis_array"]
-    assert (file.latch, cells.latch, cells.on_demand) == (True, False, True)
-    (msg,) = file.convert(tree.file())
-    assert bytes(msg.data) == tree.file()
-    (markers,) = cells.convert(tree.file)
-    assert sum(len(marker.points) for marker in markers.markers) == len(read_voxels(tree.file()).sides)
-    assert {marker.header.stamp.to_sec() for marker in markers.markers} == {12.5}
-
-
-def test_each_transfer_is_a_message() -> None:
-    transfers = (Transfer("driver", "moving", "a", "b", "r"), Transfer("driver", "arrived", "a", "b", "r", seconds=2.5))
-    by_topic = {outlet.topic: outlet for outlet in MAPPING_3D}
-    said = [msgspec.json.decode(msg.data, type=Transfer) for msg in by_topic["map_3d/transfer"].convert(transfers)]
-    assert said == list(transfers)
