@@ -1,4 +1,4 @@
-// The pose of a square from its corners: projection and Jacobian, least squares, and the posterior of a plate that is
+// The pose of a square from its corners: projection and Jacobian, least squares, and the posterior of a marker that is
 // seen nearly square-on. hitchhike_ros.servoing.square_pose says what is computed and why; here it is fast.
 
 #include <algorithm>
@@ -181,7 +181,7 @@ std::vector<Solution> solve(const Corners &points, const Matrix<8, 8> &whitening
   return solutions;
 }
 
-// Poses of plates by translation along the camera's axes, then roll, pitch and yaw in the base frame. A plate that hangs
+// Poses of markers by translation along the camera's axes, then roll, pitch and yaw in the base frame. A marker that hangs
 // upside down is turned half a turn about its normal before it rolls.
 struct Mounting {
   Eigen::Matrix3d R_camera_base;

@@ -1,4 +1,4 @@
-"""Images of tags with known poses: photographs that come with ViSP, and flat plates drawn by OpenCV."""
+"""Images of tags with known poses: photographs that come with ViSP, and flat markers drawn by OpenCV."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def marker_pose(distance: float, yaw: float = 0.0, pitch: float = 0.0, x: float 
 def render_marker(
     marker_id: int, T_camera_marker: FloatArray, size_m: float = 0.16, seed: int = 0, camera: CameraInfo = CAMERA
 ) -> np.ndarray:
-    """A 36h11 plate before a grey wall, slightly blurred and noisy, (H, W) uint8."""
+    """A 36h11 marker before a grey wall, slightly blurred and noisy, (H, W) uint8."""
     cell, over = 40, 4
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     # OpenCV's drawing of the tag stands on its head.
     tag = cv2.rotate(cv2.aruco.generateImageMarker(dictionary, marker_id, 8 * cell), cv2.ROTATE_180)
     plate = cv2.copyMakeBorder(tag, cell, cell, cell, cell, cv2.BORDER_CONSTANT, value=255)
     step, middle = size_m / (8 * cell), (plate.shape[0] - 1) / 2
-    # Plate's pixel (u right, v down) to the marker's frame (y right, z up).
+    # The tag's pixel (u right, v down) to the marker's frame (y right, z up).
     A = np.array([[0.0, 0.0, 0.0], [step, 0.0, -middle * step], [0.0, -step, middle * step], [0.0, 0.0, 1.0]])
     fine = np.array([[over, 0.0, (over - 1) / 2], [0.0, over, (over - 1) / 2], [0.0, 0.0, 1.0]])
     image = cv2.warpPerspective(

@@ -1,10 +1,10 @@
-"""calibrate_view: shows what the marker tracker sees, while somebody mounts a plate or a camera.
+"""calibrate_view: shows what the marker tracker sees, while somebody mounts a marker or a camera.
 
     rosrun hitchhike_ros calibrate_view [PARAMETERS and remappings of visual_servoing]
     rosrun hitchhike_ros calibrate_view __ns:=turtlebot _marker_id:=0
 
 It is the node visual_servoing, always on and only observing, and besides one line in the terminal that lives: code,
-range with its spread, bearing, yaw (0 when the plate faces the camera), share of the images in which the marker is
+range with its spread, bearing, yaw (0 when the marker faces the camera), share of the images in which the marker is
 seen, and their rate; where the output is no terminal, a line each second. At the end, with Ctrl-C, all in one line.
 Look at ``visual_servoing/image_annotated`` beside it, for example with rqt_image_view.
 

@@ -26,7 +26,7 @@ _QR_QUIET = 4  # ISO/IEC 18004
     "tag_id",
     metavar="N",
     type=click.IntRange(min=0),
-    help="Number of an AprilTag: 0 and 1 for the robots' plates, 10 and up for walls.",
+    help="Number of an AprilTag: 0 and 1 for the rear markers of robots, 10 and up for walls.",
 )
 @click.option("--qr", metavar="MESSAGE", help="A QR code with this text instead.")
 @click.option("--family", type=click.Choice(list(DICTIONARIES)), default="36h11", show_default=True, help="Of the tag.")

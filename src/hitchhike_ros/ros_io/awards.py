@@ -25,9 +25,9 @@ def default_ledger() -> Path:
 
 
 class AwardKeeper:
-    """Credits what one driver earns in the file ``~awards``; an empty name keeps none.
+    """Credits what one driver earns in the file ``~awards``; with an empty name nothing is kept.
 
-    A file that cannot be written stops nobody: ``trouble`` says why, and the awards wait for the next try.
+    A file that cannot be written stops no robot: ``trouble`` says why, and the awards wait for the next try.
     """
 
     def __init__(self, driver: str) -> None:
@@ -47,11 +47,11 @@ class AwardKeeper:
 
     @property
     def waiting(self) -> int:
-        """Awards that are not written down yet."""
+        """How many awards are not written to the file yet."""
         return len(self._waiting)
 
     def credit(self, award: Award) -> None:
-        """Write down an award, now or when that can be done."""
+        """Write an award to the file, now or as soon as that is possible."""
         if self._ledger is None:
             return
         ride_id = f"{self._prefix}{award.ride_id}"
@@ -59,12 +59,12 @@ class AwardKeeper:
         self._try(self._ledger)
 
     def step(self) -> None:
-        """Try again when it is time to; called often."""
+        """Try again if the time has come. Call this often."""
         if self._ledger is not None and self.trouble and time.monotonic() >= self._next_try:
             self._try(self._ledger)
 
     def _try(self, ledger: AwardLedger) -> None:
-        """Write down what waits; a change of what hinders it is logged."""
+        """Write the awards that wait. What prevents it is logged when it changes."""
         trouble = ""
         try:
             ledger.check()

@@ -1,4 +1,4 @@
-"""ROS messages to datatypes and back. Nothing else knows the layout of both."""
+"""Converts ROS messages to datatypes and back. Only this module knows the layout of both."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 
 
 def to_stamp(seconds: float) -> rospy.Time:
-    """To the nearest nanosecond: a clock whose ticks are one short makes timers miss every fourth of them."""
+    """A time in s, rounded to the nearest nanosecond: with ticks that are 1 ns short, timers miss every fourth one."""
     return rospy.Time(*split(seconds))
 
 

@@ -1,7 +1,7 @@
 """The host of pure modules in a ROS node: it subscribes, converts, steps and publishes, and decides nothing.
 
-Callbacks put messages away and wake one thread. That thread alone touches the module: it hands on what has arrived,
-steps the module while it is due, and publishes what comes out.
+Callbacks queue messages and wake one thread. Only that thread touches the module: it converts and hands on what has
+arrived, steps the module while it is due, and publishes its outputs.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from hitchhike_ros.ros_io.parameters import resolve
 
 T = TypeVar("T")
 
-# The thread looks so often, in wall time, whether the node is to end (chosen).
+# After at most this time, in s of wall time, the thread looks whether the node is to end (chosen).
 _LONGEST_WAIT_S = 0.5
-# Refused messages of one topic and sender are logged once in so long, in s of ROS time.
+# Refused messages of one topic and sender are logged at most once in this time, in s of ROS time.
 _LOG_PERIOD_S = 10.0
 
 
@@ -75,15 +75,15 @@ class _Arrived:
 
 
 class ModuleHost:
-    """Hosts what ``robot`` is: one module or several.
+    """Hosts one module, or all modules of a robot.
 
     Args:
-        robot: is stepped.
-        outlets: by module, what is published of its outputs.
-        orders: whether orders come as messages. A robot with hitchhike_comm makes its own, and does not take what its
-            node published itself for something new.
-        also: is called with each module's name and outputs, for what is no topic.
-        start: whether its thread runs; a test calls :meth:`turn` instead.
+        robot: the module or modules to step.
+        outlets: by the name of a module, which of its outputs are published, and how.
+        orders: whether orders come as messages. A robot with hitchhike_comm gives its own orders, and its host ignores
+            the messages that its own node has published.
+        also: called with the name and the outputs of each module that was stepped, for outputs that no topic carries.
+        start: whether the thread is started; a test calls :meth:`turn` instead.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class ModuleHost:
     # From any thread.
 
     def receive(self, inlet: Inlet, msg: Any) -> None:
-        """Put a message away until the thread comes to it; the oldest of a full queue is dropped."""
+        """Queue a message for the thread; where the queue is full, the oldest message in it is dropped."""
         if not self._orders and _sender(msg) == rospy.get_name():
             return
         with self._changed:
@@ -132,7 +132,7 @@ class ModuleHost:
             self._changed.notify_all()
 
     def call(self, function: Callable[[], T], timeout_s: float = 5.0) -> T:
-        """Run ``function`` on the thread that steps the module, as services do; what it raises is raised here.
+        """Run ``function`` on the thread that steps the module, as services do, and return or raise what it does.
 
         Raises:
             TimeoutError: the thread did not come to it within ``timeout_s`` of wall time.
@@ -142,13 +142,13 @@ class ModuleHost:
         return future.result(timeout_s)
 
     def post(self, function: Callable[[], None]) -> None:
-        """Have the thread that steps the module run ``function`` when it comes to it."""
+        """Queue ``function`` for the thread that steps the module."""
         with self._changed:
             self._arrived.append(function)
             self._changed.notify_all()
 
     def order(self, order: Order) -> None:
-        """Hand the module an order; to be called on the thread that steps it."""
+        """Give the module an order. Call this on the thread that steps it."""
         self._robot.order(order, rospy.get_time())
 
     def _on_tick(self, msg: Clock) -> None:
@@ -186,7 +186,7 @@ class ModuleHost:
             rospy.signal_shutdown("modules ended")
 
     def _wait(self) -> None:
-        """Until something has arrived or is due, or the longest wait is over."""
+        """Wait until something has arrived or is due, or the longest wait is over."""
         with self._changed:
             end = time.monotonic() + _LONGEST_WAIT_S
             while not self._arrived and (due_in := self._due - rospy.get_time()) > 0.0:
@@ -238,7 +238,7 @@ class ModuleHost:
         )
 
     def _show(self, outlet: Outlet, publish: Callable[[Any], None]) -> None:
-        """Make what was said last for one who has subscribed since."""
+        """Publish the last output once more, to a node that has subscribed since."""
         if outlet in self._kept:
             for msg in outlet.convert(self._kept[outlet]):
                 publish(msg)
@@ -260,14 +260,14 @@ class ModuleHost:
             )
 
     def _log(self, topic: str, sender: str, text: str, now: float) -> None:
-        """Once per topic and sender in a while; time may have jumped back."""
+        """Log a refused message, once per topic, sender and period. Time may have jumped back."""
         last = self._logged.get((topic, sender))
         if last is None or not 0.0 <= now - last < _LOG_PERIOD_S:
             self._logged[topic, sender] = now
             rospy.logwarn("%s from %s refused: %s", topic, sender, text)
 
     def _stop(self, exc: Exception) -> None:
-        """Nothing that this node drives moves on; its diagnosis and its log say why."""
+        """Stop the base and say why in diagnostics and log."""
         rospy.logfatal("%s", "".join(traceback.format_exception(exc)))
         for outlet, publisher in self._publishers.items():
             if outlet.cls is Twist:
@@ -277,29 +277,29 @@ class ModuleHost:
 
 
 class _Latecomers(rospy.SubscribeListener):
-    """Calls back with what publishes to one new subscriber alone."""
+    """Calls back for each new subscriber, with the function that publishes to that subscriber alone."""
 
     def __init__(self, callback: Callable[[Callable[[Any], None]], None]) -> None:
         super().__init__()
         self._callback = callback
 
     def peer_subscribe(self, _topic: str, _publish: Any, peer_publish: Callable[[Any], None]) -> None:
-        """As rospy calls it."""
+        """Called by rospy for each new subscriber."""
         self._callback(peer_publish)
 
 
 def _sender(msg: Any) -> str:
-    """The node that published a message, as far as that is known."""
+    """The name of the node that published a message; ``?`` where it is not known."""
     return str((getattr(msg, "_connection_header", None) or {}).get("callerid", "?"))
 
 
 def _stamp(msg: Any) -> float | None:
-    """Of its header, in s."""
+    """The stamp of a message's header in s; None where it has no header."""
     return msg.header.stamp.to_sec() if hasattr(msg, "header") else None
 
 
 def _answer(future: Future[Any], function: Callable[[], Any]) -> None:
-    """Run what another thread waits for, and hand it what comes of it."""
+    """Run what another thread waits for, and pass on its result or its exception."""
     try:
         future.set_result(function())
     except Exception as exc:  # noqa: BLE001  (it is raised where it was asked for)
@@ -307,6 +307,6 @@ def _answer(future: Future[Any], function: Callable[[], Any]) -> None:
 
 
 def _buffer_of(cls: type) -> int:
-    """Bytes that rospy takes from a socket at once. With less than an image, images wait there and grow old; with more
-    than needed, all of it is allocated for each message."""
+    """How many bytes rospy reads from a socket at once. With fewer than an image has, images wait there and grow old.
+    rospy allocates all of them for each message, so other topics get fewer."""
     return 1 << 22 if cls is Image else 1 << 16

@@ -1,4 +1,4 @@
-"""Which topic carries which input of the modules, and how its messages are converted: a row each.
+"""The inputs of the modules: for each one row with its topic, its message type and its conversion.
 
 Topics are relative to the robot's namespace; ``~name`` is the topic that the node's private parameter ``name`` names.
 An input has one row, whichever modules take it.
@@ -64,7 +64,7 @@ from hitchhike_ros.ros_io.conversions import (
 
 @dataclass(frozen=True, eq=False)
 class Inlet:
-    """``convert`` makes an input of the type ``what`` of a message, or raises SensorDataError or MessageError."""
+    """``convert`` turns a message into an input of the type ``what``, or raises SensorDataError or MessageError."""
 
     what: type
     topic: str
@@ -78,7 +78,7 @@ def _twist_of(command: type) -> Callable[[Twist], object]:
 
 
 def _json_of(cls: type, topic: str) -> Callable[[String], Any]:
-    # Made once: msgspec crashes when two threads make the first one of a type.
+    # Made once, as msgspec crashes when two threads make the first decoder of a type.
     decoder: msgspec.json.Decoder[Any] = msgspec.json.Decoder(cls)
 
     def decode(msg: String) -> Any:
@@ -143,7 +143,7 @@ INLETS: dict[type, Inlet] = {
     inlet.what: inlet
     for inlet in (
         Inlet(Status, "hhike_msg/status", String, lambda msg: decode_status(msg.data), queue_size=10),
-        # Sensors; of odometry nothing is left out, as filters add it up.
+        # Sensors. The queue of odometry is long, as filters integrate every reading.
         Inlet(Odometry, "odom", OdometryMsg, odometry_from_msg, queue_size=50),
         Inlet(LaserScan, "scan", LaserScanArrayMsg, scan_from_msg),
         Inlet(CameraImage, "camera/image_raw", Image, _camera_image),

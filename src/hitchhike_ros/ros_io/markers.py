@@ -1,4 +1,4 @@
-"""What rviz and other viewers are shown: pure functions that make markers."""
+"""Pure functions that make the markers which rviz and other viewers show."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class DrawnRobot:
 
 
 def voxel_markers(voxels: Voxels, stamp: float) -> MarkerArray:
-    """As octomap_server's: a list of cubes for each size of voxel, from red on the floor to blue above."""
+    """Voxels as octomap_server shows them: a list of cubes for each size, from red on the floor to blue above."""
     sides = voxels.resolution_m * 2.0 ** np.arange(16)
     markers = []
     for number, side in enumerate(sides):
@@ -64,7 +64,7 @@ def _colours(heights: FloatArray) -> list[ColorRGBA]:
 
 
 def point_markers(place: HitchhikingPoint) -> Iterator[Marker]:
-    """The area, where both stand, and the name."""
+    """A hitchhiking point: its area, where both robots stand, and its name."""
     outline = [Point(x, y, 0.02) for x, y in (*place.area, *place.area[:1])]
     yield _marker("map", "hitchhiking points", Marker.LINE_STRIP, _GREEN, Vector3(_LINE_M, 0.0, 0.0), points=outline)
     for pose in (place.waiting_pose, place.aligning_pose):
@@ -74,7 +74,7 @@ def point_markers(place: HitchhikingPoint) -> Iterator[Marker]:
 
 
 def robot_markers(robot: DrawnRobot, now: float) -> Iterator[Marker]:
-    """New boxes, state and reason, and the line to the marker that it follows; ``now`` in s."""
+    """A robot: its new boxes, its state with the reason, and a line to the marker that it follows; ``now`` in s."""
     frame, status = f"{robot.name}/base_footprint", robot.status
     for box in robot.boxes:
         middle = Pose2D(box.x + box.w / 2, box.y + box.b / 2, 0.0)

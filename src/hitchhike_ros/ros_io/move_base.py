@@ -1,4 +1,4 @@
-"""The interface of move_base: its action, and the plain goal topic that it forwards to the action."""
+"""The interface of move_base: its action, and the topic of plain goals, which are forwarded to the action."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class MoveBaseServer:
         self._subscriber = rospy.Subscriber("move_base_simple/goal", PoseStamped, self._on_plain, queue_size=1)
 
     def tell(self, outputs: HitchhikeCommOutputs) -> None:
-        """Tell the client what comes of its goal, after each step."""
+        """Tell the client after each step how its goal fares."""
         self._forward_plain()
         if not self._server.is_active():
             return

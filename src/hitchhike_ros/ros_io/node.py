@@ -58,7 +58,7 @@ class _Updater(diagnostic_updater.Updater):
     """Names what it reports after the robot and not after the node: a module is called the same in every process."""
 
     def publish(self, msg: Any) -> None:
-        """One status, or a list of them."""
+        """Publish one status or a list of them."""
         statuses = msg if isinstance(msg, list) else [msg]
         robot = rospy.get_namespace().strip("/")
         for status in statuses:
@@ -69,7 +69,7 @@ class _Updater(diagnostic_updater.Updater):
 class Diagnostics:
     """``/diagnostics`` at 1 Hz: the level and message last set, and counters.
 
-    The second is that of who watches, not of a simulated clock.
+    The period is in wall time, since people watch it; simulated time may be faster or stand still.
     """
 
     def __init__(self, name: str) -> None:
@@ -81,7 +81,7 @@ class Diagnostics:
         threading.Thread(target=self._repeat, name="diagnostics", daemon=True).start()
 
     def set(self, level: int, message: str, **values: object) -> None:
-        """What is published from now on; a change of level is published at once."""
+        """Set what is published from now on. A change of level is published at once."""
         changed = level != self._level
         self._level, self._message = level, message
         self._values.update(values)
@@ -89,7 +89,7 @@ class Diagnostics:
             self._updater.force_update()
 
     def count(self, what: str, by: int = 1) -> int:
-        """Add to a counter that is published; the new count."""
+        """Add to a counter that is published, and return the new count."""
         total = int(str(self._values.get(what, 0))) + by
         self._values[what] = total
         return total
@@ -107,7 +107,7 @@ class Diagnostics:
 
 
 class LockstepAnswer:
-    """Tells the simulator that a sensor frame has been worked on, when ``/lockstep`` is true (design §6)."""
+    """Tells the simulator that a sensor frame has been worked on, when ``/lockstep`` is true."""
 
     def __init__(self, module: str) -> None:
         self._module = module

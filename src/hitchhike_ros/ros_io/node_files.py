@@ -22,11 +22,11 @@ T = TypeVar("T")
 
 
 class NodeFiles:
-    """As :class:`modules.robot_files.RobotFiles`, read when asked for.
+    """Reads what :class:`modules.robot_files.RobotFiles` names, each when it is first asked for.
 
-    Private parameters of the node: ~config (path of a file with a section a component), ~urdf (path), ~world (path),
-    ~robot_id (default: the namespace), ~map_timeout_s (s, 60: how long service ``static_map`` is awaited). A private
-    parameter with the name of a component's field replaces what the file says.
+    Private parameters of the node: ~config (path of a file with one section per component), ~urdf (path), ~world
+    (path), ~robot_id (default: the namespace), ~map_timeout_s (s, 60: the longest wait for the service ``static_map``).
+    A private parameter with the name of a component's field replaces what the file says.
     """
 
     @property
@@ -36,12 +36,12 @@ class NodeFiles:
 
     @property
     def first_seq(self) -> int:
-        """Starting from the clock keeps a restarted robot from looking like a replay of its old self."""
+        """The first sequence number. It comes from the clock, so that a restart does not look like a replay."""
         return int(rospy.get_time() * 1000)
 
     @cached_property
     def sites(self) -> Sites:
-        """Of the file ~world."""
+        """Markers and hitchhiking points of the file ~world."""
         return load_sites(path_parameter("world"))
 
     @cached_property
@@ -49,7 +49,7 @@ class NodeFiles:
         """The map of map_server, awaited for a bounded time.
 
         Raises:
-            HitchhikeError: the service gave none.
+            HitchhikeError: the service gave no map in time.
         """
         timeout_s = convert(given("map_timeout_s", 60.0), Positive, rospy.get_name(), "~map_timeout_s")
         try:
@@ -81,5 +81,5 @@ class NodeFiles:
         return mount(path_parameter("urdf"), link)
 
     def has(self, link: str) -> bool:
-        """Whether the file ~urdf has such a link; also no where there is no such parameter."""
+        """Whether the file ~urdf has such a link; False where the parameter is not set."""
         return is_given("urdf") and link in fixed_transforms(path_parameter("urdf"))

@@ -1,4 +1,4 @@
-"""Which topic carries which output of each module, and how it is converted into messages: a row each.
+"""The outputs of each module: for each one row with its topic, its message type and its conversion.
 
 Topics are relative to the robot's namespace; ``~name`` is the topic that the node's private parameter ``name`` names.
 """
@@ -65,10 +65,10 @@ if TYPE_CHECKING:  # a node imports its own module and no other
 
 @dataclass(frozen=True, eq=False)
 class Outlet:
-    """``convert`` makes the messages of a field of the outputs (``""``: of all outputs).
+    """``convert`` turns a field of the outputs (``""``: all of them) into messages.
 
-    A topic that is latched or ``on_demand`` says to each new subscriber what was said last; on demand it is made anew
-    for him, so that it costs nothing while nobody looks.
+    A new subscriber of a topic that is latched or ``on_demand`` gets the last output. On demand it is converted for
+    that subscriber, so that it costs nothing while nobody subscribes.
     """
 
     field: str
@@ -113,7 +113,7 @@ def _voxels(view: Callable[[], bytes]) -> Iterable[MarkerArray]:
 
 
 def path_of(path: PlannedPath) -> Path:
-    """As a message of now, in ``map``; one without poses where there is no path."""
+    """A path as a message in ``map``, stamped now; it has no poses where there is no path."""
     now = rospy.get_time()
     return Path(header=header(now, "map")) if path.end is None else path_to_msg(path.points, path.end, now)
 
@@ -144,7 +144,7 @@ def _annotated(look: Look) -> Iterable[Image]:
 
 
 def visual_servoing_outlets(camera_frame: str) -> tuple[Outlet, ...]:
-    """What visual_servoing says; ``camera_frame`` is for images that name none."""
+    """The outputs of visual_servoing; ``camera_frame`` is the frame of images that name none."""
 
     def poses(look: Look) -> Iterable[PoseStamped]:
         return (PoseStamped(msg.header, msg.pose.pose) for msg in _marker_poses(look, camera_frame))
@@ -181,7 +181,7 @@ def _clouds(outputs: SlamOutputs) -> Iterable[PoseArray]:
 
 
 def slam_outlets(odom_frame: str) -> tuple[Outlet, ...]:
-    """What slam says; ``odom_frame`` is the robot's."""
+    """The outputs of slam; ``odom_frame`` is the robot's frame ``odom``."""
 
     def transforms(T_map_odom: tuple[float, Pose2D]) -> Iterable[TFMessage]:
         stamp, pose = T_map_odom
@@ -227,7 +227,7 @@ MAPPING_3D = (
 
 
 def outlets(name: str) -> tuple[Outlet, ...]:
-    """What module ``name`` says; frames are those of the node's parameters."""
+    """The outputs of the module ``name``; frames have the prefix that the node's parameters say."""
     match name:
         case "slam":
             return slam_outlets(frame("odom"))

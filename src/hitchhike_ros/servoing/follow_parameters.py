@@ -23,7 +23,7 @@ class FollowParameters:
     lookahead_m: Positive = 0.5
     """Pure pursuit aims at the point of the trail this far ahead."""
     max_bearing_rad: Positive = 0.35
-    """The heading keeps the marker's bearing within this; half the field of view is 0.52, half a plate at 0.8 m 0.1."""
+    """The heading keeps the marker's bearing within this; half the view is 0.52, half a marker at 0.8 m 0.1."""
     view_gain: Positive = 3.0
     """How fast the bearing may approach that limit, 1/s."""
     max_yaw_rate_rps: Positive = 1.2

@@ -3,7 +3,7 @@
 A detector finds the corners to a tenth of a pixel. Lines fitted to the marker's sides give them twice as exactly, and
 the scatter about these lines gives their covariance.
 
-Frames: the marker's x axis is its outward normal, z points up on the plate (so y points to the right of who looks at
+Frames: the marker's x axis is its outward normal, z points up on its plane (so y points to the right of who looks at
 it). The camera's is the optical frame (z forward, x right, y down), pixels are counted from the centre of the top
 left one, as in ROS and OpenCV.
 """
@@ -46,11 +46,11 @@ _SEEK_PX, _MEASURE_CELLS, _MEASURE_PX = 6.0, 0.35, (0.75, 2.0)
 # What the scatter does not tell of a corner's error in px: rounding, and the pattern inside, whose blur reaches the
 # side where cells are small (px⁴). Measured on rendered tags.
 _FLOOR_PX, _BLURRED_PX = 0.0037, 0.8
-# Leans no farther apart than this, in standard deviations of a plate's, lead to one pose (chosen).
+# Leans no farther apart than this, in standard deviations of a marker's lean, lead to one pose (chosen).
 _ONE_LEAN = 2.0
 # Cosine between normals that are one, as of optima that were reached from two sides: 1° (chosen).
 _ONE_NORMAL = 0.99985
-# -2 log likelihood of a plate that is not upright: one in some hundred is mounted otherwise (chosen).
+# -2 log likelihood of a marker that is not upright: one in some hundred is mounted otherwise (chosen).
 _NOT_UPRIGHT = 12.0
 
 
@@ -72,7 +72,7 @@ class MarkerDetectorParameters:
     corner_sigma_px: Positive = 0.5
     """Noise of a corner's coordinate where no lines can be fitted to the sides: QR codes, circle21h7 (chosen)."""
     upright_sigma_rad: Positive = 0.05
-    """How well plates are mounted upright: decides between the two poses of a square, and says of one that is seen
+    """How well markers are mounted upright: decides between the two poses of a square, and says of one that is seen
     square-on that what makes it narrow is its yaw (chosen)."""
     yaw_step_sigma_rad: Positive = 0.15
     """How much a marker's yaw changes from one image to the next; decides likewise (chosen)."""
@@ -92,7 +92,7 @@ class Code:
 class MarkerDetection:
     """A marker in one image.
 
-    ``corners`` is (4, 2) px: lower left, lower right, upper right, upper left of the plate; ``view`` is what they say
+    ``corners`` is (4, 2) px: lower left, lower right, upper right, upper left of the marker; ``view`` is what they say
     without the lens. ``solutions`` holds one or two poses, the likeliest first; ``weight`` in [0.5, 1] is the
     probability of the first.
     """
@@ -295,7 +295,7 @@ class MarkerDetector:
         costs = []
         for solution in detection.solutions:
             T_base_marker = T_base_camera @ solution.T_camera_marker
-            # A plate that hangs upside down counts as upright too.
+            # A marker that hangs upside down counts as upright too.
             tilt = math.acos(min(1.0, abs(float(T_base_marker[2, 2]))))
             step = wrap_angle(pose_from_matrix(T_base_marker).theta - yaw_before) if yaw_before is not None else 0.0
             upright = min((tilt / p.upright_sigma_rad) ** 2, _NOT_UPRIGHT)

@@ -95,7 +95,7 @@ def square_on_poses(
     """Means and covariances of the posterior's one or two modes near ``start``; none unless that is upright and
     square-on.
 
-    The posterior is the corners' likelihood times a normal prior on roll and pitch of the plate. It is a mixture over
+    The posterior is the corners' likelihood times a normal prior on roll and pitch of the marker. It is a mixture over
     a grid of yaws: for each the other five parameters at their optimum (Gauss-Newton) and their covariance there.
 
     Args:

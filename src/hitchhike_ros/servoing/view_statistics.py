@@ -1,4 +1,4 @@
-"""Where, how often and how steadily a camera sees a marker, for a person who mounts a plate."""
+"""Where, how often and how steadily a camera sees a marker, for a person who mounts it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WINDOW_S = 2.0
 
 @dataclass(frozen=True)
 class MarkerView:
-    """A marker in one image, as the camera has it: bearing positive to the left; yaw 0 when the plate faces the camera,
+    """A marker in one image, as the camera has it: bearing positive to the left; yaw 0 when it faces the camera,
     positive when it is turned to its own left, which is to the right in the image."""
 
     code: str

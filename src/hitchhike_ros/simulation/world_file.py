@@ -38,7 +38,7 @@ class Box(Obstacle):
 @dataclass(frozen=True)
 class RobotEntry:
     """A robot: its model (``urdf/<model>.urdf``, ``config/<model>.yaml``), where it starts, where a ride takes it, and
-    the id of its rear marker (None: the plate stays blank).
+    the id of its rear marker (None: its back stays blank).
 
     The goal is given ``goal_at_s`` after all robots know where they are. ``hitchhiking`` is what differs from the
     model's parameters.

@@ -83,7 +83,7 @@ def test_square_on_marker_straight_ahead_looks_back():
 
 
 def test_a_driver_that_turns_left_shows_a_normal_turned_left():
-    # Driver ahead, heading 0.4 rad to the left: its plate's normal points back and to the right of it.
+    # Driver ahead, heading 0.4 rad to the left: its rear marker's normal points back and to the right of it.
     detector = MarkerDetector()
     image = images.render_marker(0, images.marker_pose(0.8, yaw=-0.4))
     [observation] = detector.observe(detector.detect(image, CAMERA), T_BASE_CAMERA, 0.0)
@@ -325,7 +325,7 @@ def test_previous_image_decides_between_two_poses():
 
 @pytest.mark.parametrize("roll", [0.0, math.pi])
 def test_upright_marker_is_preferred_to_a_leaning_one(roll):
-    """A plate above the camera's height: its mirrored pose leans. Hung upside down it is as good."""
+    """A marker above the camera's height: its mirrored pose leans. Hung upside down it is as good."""
     rng = np.random.default_rng(5)
     leaning = 0
     detector = MarkerDetector()

@@ -1,6 +1,6 @@
 """Pictures of one marker as a camera would take them, with a known pose.
 
-Each pixel is the mean of what falls on it: the plate is drawn through its homography (and the lens) several times finer
+Each pixel is the mean of what falls on it: the print is drawn through its homography (and the lens) several times finer
 than the image and averaged down, then the light, the blur of lens and motion and the sensor's noise are applied. The
 simulator's renderers sample each pixel once, at its centre: an edge along a row then lies on whole pixels, which throws
 the yaw of a marker seen square-on by some degrees. A real sensor does not do that, so the tracker's precision is
@@ -22,13 +22,13 @@ from hitchhike_ros.servoing.tag_cells import QUIET_CELLS, tag_cells
 
 _FINE = 6
 _CELL_PX = 48
-# Of the wall behind, as a share of the plate's white.
+# Of the wall behind, as a share of the paper's white.
 _WALL = 0.55
 
 
 @dataclass(frozen=True)
 class Light:
-    """Grey levels of the plate's black and white, and how much brighter the right edge of the image is than the left
+    """Grey levels of the print's black and white, and how much brighter the right edge of the image is than the left
     one (a share)."""
 
     black: float
@@ -41,7 +41,7 @@ LIGHTS = {"even": Light(20.0, 220.0), "dim": Light(12.0, 60.0), "window": Light(
 
 @dataclass(frozen=True)
 class Conditions:
-    """What comes between the plate and the picture.
+    """What comes between the print and the picture.
 
     ``blur_px`` is the standard deviation of the lens's blur, ``motion_px`` how far the image moves (right, down) while
     the shutter is open, ``noise`` the standard deviation of a pixel in grey levels.
@@ -75,13 +75,13 @@ def tag_image(
     """A marker before an even wall, (H, W) uint8. Of family ``qr`` the id is the code's message."""
     c = conditions or Conditions()
     image = np.full((camera.height, camera.width), _WALL)
-    plate = _plate(family, marker_id)
-    H = camera.K @ T_camera_marker[:3] @ _plate_to_marker(len(plate) // _CELL_PX, size_m)
-    corners = np.array([[0.0, 0.0], [plate.shape[1], 0.0], list(plate.shape[::-1]), [0.0, plate.shape[0]]]) - 0.5
+    printed = _print_of(family, marker_id)
+    H = camera.K @ T_camera_marker[:3] @ _print_to_marker(len(printed) // _CELL_PX, size_m)
+    corners = np.array([[0.0, 0.0], [printed.shape[1], 0.0], list(printed.shape[::-1]), [0.0, printed.shape[0]]]) - 0.5
     window = _window(_distorted(_mapped(H, corners), camera), camera, 4 + 4 * c.blur_px + max(map(abs, c.motion_px)))
     if window is not None:
         u0, v0, u1, v1 = window
-        fine = _drawn(plate, H, camera, window)
+        fine = _drawn(printed, H, camera, window)
         fine = _moved(fine, c.motion_px)
         if c.blur_px > 0.0:
             # A pixel's own area is no part of the lens's blur.
@@ -94,7 +94,7 @@ def tag_image(
 
 
 @functools.lru_cache(maxsize=8)
-def _plate(family: str, marker_id: int | str) -> npt.NDArray[np.float32]:
+def _print_of(family: str, marker_id: int | str) -> npt.NDArray[np.float32]:
     """Its white is 1, black 0."""
     return np.kron(_cells(family, marker_id), np.ones((_CELL_PX, _CELL_PX))).astype(np.float32)
 
@@ -110,8 +110,8 @@ def _cells(family: str, marker_id: int | str) -> npt.NDArray[np.bool_]:
     return np.rot90(tag_cells(family, int(marker_id)), 2)
 
 
-def _plate_to_marker(cells: int, size_m: float) -> FloatArray:
-    """(4, 3): pixels of the plate (u right, v down, 1) to the marker's frame (y right, z up), homogeneous."""
+def _print_to_marker(cells: int, size_m: float) -> FloatArray:
+    """(4, 3): pixels of the print (u right, v down, 1) to the marker's frame (y right, z up), homogeneous."""
     step = size_m / ((cells - 2 * QUIET_CELLS) * _CELL_PX)
     middle = (cells * _CELL_PX - 1) / 2
     return np.array([[0.0, 0.0, 0.0], [step, 0.0, -middle * step], [0.0, -step, middle * step], [0.0, 0.0, 1.0]])
@@ -131,7 +131,7 @@ def _distorted(points: FloatArray, camera: CameraInfo) -> FloatArray:
 
 
 def _window(corners: FloatArray, camera: CameraInfo, border: float) -> tuple[int, int, int, int] | None:
-    """Left, top, right, bottom of the part of the image that the plate may touch."""
+    """Left, top, right, bottom of the part of the image that the print may touch."""
     lower, upper = corners.min(axis=0) - border, corners.max(axis=0) + border
     u0, v0 = (max(0, math.floor(x)) for x in lower)
     u1, v1 = min(camera.width, math.ceil(upper[0])), min(camera.height, math.ceil(upper[1]))
@@ -139,7 +139,7 @@ def _window(corners: FloatArray, camera: CameraInfo, border: float) -> tuple[int
 
 
 def _drawn(
-    plate: npt.NDArray[np.float32], H: FloatArray, camera: CameraInfo, window: tuple[int, int, int, int]
+    printed: npt.NDArray[np.float32], H: FloatArray, camera: CameraInfo, window: tuple[int, int, int, int]
 ) -> npt.NDArray[np.float32]:
     """The window, ``_FINE`` times finer."""
     u0, v0, u1, v1 = window
@@ -147,7 +147,7 @@ def _drawn(
     if not camera.D.any():
         shift = (_FINE - 1) / 2
         fine = np.array([[_FINE, 0.0, shift - _FINE * u0], [0.0, _FINE, shift - _FINE * v0], [0.0, 0.0, 1.0]])
-        warped = cv2.warpPerspective(plate, fine @ H, shape[::-1], flags=cv2.INTER_LINEAR, borderValue=[_WALL])
+        warped = cv2.warpPerspective(printed, fine @ H, shape[::-1], flags=cv2.INTER_LINEAR, borderValue=[_WALL])
         return np.asarray(warped, dtype=np.float32)
     # What the lens does changes little from pixel to pixel: it is worked out for each, and interpolated between them.
     points = np.stack(np.meshgrid(np.arange(u0, u1), np.arange(v0, v1)), axis=-1).reshape(-1, 1, 2).astype(float)
@@ -155,7 +155,7 @@ def _drawn(
     straight = cv2.undistortPointsIter(points, camera.K, camera.D, np.eye(3), camera.K, criteria)
     source = _mapped(np.linalg.inv(H), np.asarray(straight[:, 0], dtype=float)).reshape(v1 - v0, u1 - u0, 2)
     fine = cv2.resize(source.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR)
-    drawn = cv2.remap(plate, fine[..., 0], fine[..., 1], cv2.INTER_LINEAR, borderValue=[_WALL])
+    drawn = cv2.remap(printed, fine[..., 0], fine[..., 1], cv2.INTER_LINEAR, borderValue=[_WALL])
     return np.asarray(drawn, dtype=np.float32)
 
 

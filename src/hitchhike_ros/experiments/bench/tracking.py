@@ -51,7 +51,7 @@ VISP_DATA = Path("/usr/share/visp-images-data/ViSP-images/AprilTag")
 DISTANCES_M = (0.4, 0.8, 1.5, 2.2, 3.0)
 YAWS_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0)
 PITCHES_DEG = (-15.0, 0.0, 15.0)
-# Plates that lean by as much are not upright within the default.
+# Markers that lean by as much are not upright within the default.
 _LEAN_SIGMA_RAD = 0.2
 # Beyond this the yaw's own bound holds.
 _ASKEW_DEG = 15.0

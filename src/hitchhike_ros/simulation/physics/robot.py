@@ -244,7 +244,7 @@ def robot_files(model: str, package: Path) -> tuple[Path, Path]:
 
 
 def _load_body(client: int, urdf: Path, marker: Marker | None) -> int:
-    """Load a URDF, with the marker on its plate; the body's id.
+    """Load a URDF, with the rear marker on its back; the body's id.
 
     Bare frames are left out: pybullet would take them for bodies of 1 kg.
     """
