@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ _GREEN, _ORANGE, _BLUE = (
 _BLACK = ColorRGBA(0.0, 0.0, 0.0, 1.0)
 _TEXT_M, _LINE_M, _BOX_HEIGHT_M, _ABOVE_M = 0.3, 0.04, 0.4, 0.9
 _ARROW = Vector3(0.5, 0.08, 0.08)
+_BESIDE_M = 0.8  # where a robot's text stands
 _OLD_S = 1.0  # a marker that was seen longer ago is not shown
 
 
@@ -37,6 +38,11 @@ class DrawnRobot:
     status: Status | None = None
     boxes: tuple[Obstacle, ...] = ()
     seen: tuple[MarkerObservation, ...] = ()
+
+
+def drawn_robots(names: Iterable[str]) -> list[DrawnRobot]:
+    """Robots of which nothing was heard. Texts stand left and right in turn, as who rides together is near."""
+    return [DrawnRobot(name, -_BESIDE_M if k % 2 else _BESIDE_M) for k, name in enumerate(names)]
 
 
 def voxel_markers(voxels: Voxels, stamp: float) -> MarkerArray:

@@ -8,7 +8,7 @@ from visualization_msgs.msg import Marker
 from hitchhike_ros.core.datatypes import HitchhikingPoint, MarkerObservation, Obstacle, Pose2D
 from hitchhike_ros.mapping.octree import Voxels
 from hitchhike_ros.protocol.status import ServoCommand, Status
-from hitchhike_ros.ros_io.markers import DrawnRobot, point_markers, robot_markers, voxel_markers
+from hitchhike_ros.ros_io.markers import DrawnRobot, drawn_robots, point_markers, robot_markers, voxel_markers
 
 
 def _seen(stamp: float, marker_id: int) -> MarkerObservation:
@@ -21,6 +21,12 @@ def _texts(robot: DrawnRobot, now: float) -> list[str]:
 
 def test_a_robot_of_which_nothing_was_heard_is_not_drawn() -> None:
     assert list(robot_markers(DrawnRobot("turtlebot", 0.8), 1.0)) == []
+
+
+def test_texts_of_robots_that_follow_each_other_stand_on_different_sides() -> None:
+    robots = drawn_robots(["p3dx", "turtlebot", "last"])
+    assert [robot.name for robot in robots] == ["p3dx", "turtlebot", "last"]
+    assert [robot.beside_m for robot in robots] == [0.8, -0.8, 0.8]
 
 
 def test_state_and_reason_stand_beside_the_robot_in_its_own_frame() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,19 @@ _SERVOING_STARTS_S = 0.5
 # Nothing is to be seen of a step that lasts for one exchange of messages.
 _UNSEEN = frozenset({"locking"})
 _NAME = re.compile(r"(\d+\.\d+)-(\w+)-(\w+)\.jpg")
+
+
+@dataclass(frozen=True)
+class KeptFrameParameters:
+    """How a frame is kept (chosen)."""
+
+    width_px: int = 320
+    quality: int = 80  # of JPEG, to 100
+    timeout_s: float = 5.0  # wall time; a camera that sends nothing is left alone
+
+    def size(self, shape: Sequence[int]) -> tuple[int, int]:
+        """Width and height in pixels at which an image of ``shape`` (H, W, ...) is kept."""
+        return self.width_px, round(self.width_px * shape[0] / shape[1])
 
 
 @dataclass(frozen=True)

@@ -62,10 +62,11 @@ class ScriptedHuman:
 
 @dataclass(frozen=True)
 class OperatorParameters:
-    """How often the person looks, in wall time (chosen)."""
+    """How often the person looks, and how patiently leaves, in wall time (chosen)."""
 
     look_s: Positive = 0.01  # while driving: keys are held for longer
     wait_s: Positive = 0.2  # while nothing can be driven yet
+    leave_s: Positive = 10.0  # that a terminal has to end in
 
 
 class DrivenRobot:

@@ -11,11 +11,8 @@ import rospy
 from sensor_msgs.msg import Image
 
 from hitchhike_ros.core.errors import SensorDataError
-from hitchhike_ros.experiments.report.ride_frames import FOLDER, frame_name
+from hitchhike_ros.experiments.report.ride_frames import FOLDER, KeptFrameParameters, frame_name
 from hitchhike_ros.ros_io.conversions import image_from_msg
-
-_WIDTH_PX, _QUALITY = 320, 80
-_TIMEOUT_S = 5.0  # wall time; a camera that sends nothing is left alone
 
 
 class CameraFrames:
@@ -26,7 +23,7 @@ class CameraFrames:
 
     def __init__(self, robot: str, folder: Path) -> None:
         """Frames go to ``folder/frames``, from which this robot's earlier ones are removed."""
-        self._robot, self._folder = robot, folder / FOLDER
+        self._robot, self._folder, self._params = robot, folder / FOLDER, KeptFrameParameters()
         for old in self._folder.glob(f"*-{robot}-*.jpg"):
             old.unlink()
         self._lock = threading.Lock()
@@ -41,7 +38,7 @@ class CameraFrames:
 
     def take(self, state: str) -> None:
         """Order the next frame, for the name of a state."""
-        self._state, self._deadline = state, time.monotonic() + _TIMEOUT_S
+        self._state, self._deadline = state, time.monotonic() + self._params.timeout_s
         topic = f"/{self._robot}/camera/image_raw"
         self._subscriber = rospy.Subscriber(topic, Image, self._on_image, queue_size=1, buff_size=2**22)
 
@@ -69,8 +66,7 @@ class CameraFrames:
         picture = image_from_msg(msg)
         if msg.encoding == "rgb8":
             picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-        height = round(_WIDTH_PX * picture.shape[0] / picture.shape[1])
-        small = cv2.resize(picture, (_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(picture, self._params.size(picture.shape), interpolation=cv2.INTER_AREA)
         self._folder.mkdir(exist_ok=True)
         path = self._folder / frame_name(msg.header.stamp.to_sec(), self._robot, self._state)
-        cv2.imwrite(str(path), small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        cv2.imwrite(str(path), small, [cv2.IMWRITE_JPEG_QUALITY, self._params.quality])

@@ -22,62 +22,59 @@ TF: none.
 from __future__ import annotations
 
 import sys
-import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
-import numpy as np
 import rosgraph
 import rospy
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 
-from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.errors import HitchhikeError
-from hitchhike_ros.core.geometry import compose
 from hitchhike_ros.core.parameters import convert
+from hitchhike_ros.experiments.scenarios.robot_starts import RobotStart, RobotStarts, StartParameters
 from hitchhike_ros.ros_io.conversions import estimate_to_msg, pose_stamped
 from hitchhike_ros.ros_io.node import run
-from hitchhike_ros.ros_io.parameters import path_parameter
-from hitchhike_ros.simulation.world_file import RobotEntry, load_world
-
-_RETRY_S, _LOOK_S = 0.5, 0.05
+from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.simulation.world_file import load_world
 
 
 class Operator:
     """Repeats the start pose of each robot until it localizes, then says once where it is wanted."""
 
     def __init__(self) -> None:
-        path = path_parameter("world")
-        world = load_world(path)
-        chosen = str(rospy.get_param("~robots", "")).split() or list(world.robots)
+        self._params = node_parameters(StartParameters, "operator")
+        self._deadline = time.monotonic() + self._params.deadline_s
+        chosen = str(rospy.get_param("~robots", "")).split()
         goals = {
             name: convert(goal, Pose2D, rospy.get_name(), f"~goals.{name}")
             for name, goal in dict(rospy.get_param("~goals", {})).items()
         }
-        random = np.random.default_rng(int(rospy.get_param("~seed", 0)))
-        deadline = time.monotonic() + float(rospy.get_param("~deadline_s", 120.0))
-        robots = [
-            _Robot(name, spec, goals.get(name, spec.goal), random)
-            for name, spec in world.robots.items()
-            if name in chosen
-        ]
+        starts = RobotStarts(load_world(path_parameter("world")).robots, goals, chosen, self._params)
+        robots = {name: _Robot(name, start) for name, start in starts.robots.items()}
         watcher = str(rospy.get_param("~watcher", ""))
-        topics = [f"/{robot.name}/hhike_msg/status" for robot in robots]
-        while watcher and not rospy.is_shutdown() and not listens(watcher, topics):
-            if time.monotonic() > deadline:
-                raise HitchhikeError(f"{watcher}: does not listen to the robots within ~deadline_s")
-            time.sleep(_RETRY_S)
-        while not rospy.is_shutdown() and (waiting := [robot.name for robot in robots if not robot.placed()]):
-            if time.monotonic() > deadline:
-                raise HitchhikeError(f"{', '.join(waiting)}: not ready within ~deadline_s")
-            time.sleep(_RETRY_S)
+        topics = [f"/{name}/hhike_msg/status" for name in robots]
+        if watcher:
+            self._wait(lambda: () if listens(watcher, topics) else (watcher,), "does not listen to the robots")
+        self._wait(lambda: [name for name, robot in robots.items() if not robot.placed()], "not ready")
         begin = rospy.get_time()
-        for robot in sorted(robots, key=lambda robot: robot.goal_at_s):
-            while not rospy.is_shutdown() and rospy.get_time() < begin + robot.goal_at_s:
-                time.sleep(_LOOK_S)
-            robot.send()
-        time.sleep(_RETRY_S)  # so that the last goal is out before the node ends
+        while not rospy.is_shutdown() and not starts.over:
+            for name, goal in starts.due(rospy.get_time() - begin).items():
+                robots[name].send(goal)
+            time.sleep(self._params.look_s)
+        time.sleep(self._params.retry_s)  # so that the last goal is out before the node ends
         rospy.signal_shutdown("goals given")
+
+    def _wait(self, missing: Callable[[], Iterable[str]], what: str) -> None:
+        """Until nothing is missing.
+
+        Raises:
+            HitchhikeError: something still is at the deadline.
+        """
+        while not rospy.is_shutdown() and (names := list(missing())):
+            if time.monotonic() > self._deadline:
+                raise HitchhikeError(f"{', '.join(names)}: {what} within ~deadline_s")
+            time.sleep(self._params.retry_s)
 
 
 def listens(node: str, topics: Iterable[str]) -> bool:
@@ -88,35 +85,27 @@ def listens(node: str, topics: Iterable[str]) -> bool:
 
 
 class _Robot:
-    def __init__(self, name: str, spec: RobotEntry, goal: Pose2D | None, random: np.random.Generator) -> None:
-        self.name = name
-        sigma = np.array(
-            [rospy.get_param("~position_sigma_m", 0.05)] * 2 + [rospy.get_param("~heading_sigma_rad", 0.03)]
-        )
-        error = Pose2D(*(float(v) for v in random.normal(0.0, sigma)))
-        self._start, self._covariance = compose(spec.start, error), np.diag(sigma**2)
-        self._goal, self.goal_at_s = goal, spec.goal_at_s
-        self._localized = threading.Event()
+    """The topics of one robot."""
+
+    def __init__(self, name: str, start: RobotStart) -> None:
+        self._start = start
         self._initialpose = rospy.Publisher(f"/{name}/initialpose", PoseWithCovarianceStamped, queue_size=1)
-        self._goal_topic = rospy.Publisher(f"/{name}/move_base_simple/goal", PoseStamped, queue_size=1, latch=True)
+        self._goal = rospy.Publisher(f"/{name}/move_base_simple/goal", PoseStamped, queue_size=1, latch=True)
         self._estimates = rospy.Subscriber(f"/{name}/amcl_pose", PoseWithCovarianceStamped, self._on_estimate)
 
     def placed(self) -> bool:
         """Say where the robot is as long as it does not know; whether it does, and would hear of a goal."""
-        if self._localized.is_set():
-            return self._goal is None or self._goal_topic.get_num_connections() > 0
-        if self._initialpose.get_num_connections():
-            estimate = PoseEstimate(rospy.get_time(), self._start, self._covariance)
-            self._initialpose.publish(estimate_to_msg(estimate))
-        return False
+        pose = self._start.pose(rospy.get_time(), heard=self._initialpose.get_num_connections() > 0)
+        if pose is not None:
+            self._initialpose.publish(estimate_to_msg(pose))
+        return self._start.ready(heard=self._goal.get_num_connections() > 0)
 
-    def send(self) -> None:
+    def send(self, goal: Pose2D) -> None:
         """Say where the robot is wanted."""
-        if self._goal is not None:
-            self._goal_topic.publish(pose_stamped(self._goal, rospy.get_time(), "map"))
+        self._goal.publish(pose_stamped(goal, rospy.get_time(), "map"))
 
     def _on_estimate(self, _msg: PoseWithCovarianceStamped) -> None:
-        self._localized.set()
+        self._start.localized = True
 
 
 def main() -> None:

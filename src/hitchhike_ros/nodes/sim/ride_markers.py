@@ -28,12 +28,10 @@ from hitchhike_ros.core.errors import MessageError, ParameterError
 from hitchhike_ros.protocol.messages import NewObstacles
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import decode_status
-from hitchhike_ros.ros_io.markers import DrawnRobot, point_markers, robot_markers
+from hitchhike_ros.ros_io.markers import DrawnRobot, drawn_robots, point_markers, robot_markers
 from hitchhike_ros.ros_io.node import every, run
 from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
 from hitchhike_ros.simulation.world_file import load_world
-
-_BESIDE_M = 0.8  # where a robot's text stands
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,7 @@ class RideMarkers:
         self._places = world.sites.hitchhiking_points
         self._lock = threading.Lock()
         self._publisher = rospy.Publisher("ride_markers", MarkerArray, queue_size=1, latch=True)
-        # One to the left, the next to the right: who rides together is near.
-        self._robots = [DrawnRobot(name, -_BESIDE_M if k % 2 else _BESIDE_M) for k, name in enumerate(names)]
+        self._robots = drawn_robots(names)
         self._subscribers = []
         for robot in self._robots:
             for topic, callback in (

@@ -72,7 +72,7 @@ class ScriptedOperator:
             self._wait(lambda: not watcher or listens(watcher, topics), lambda: f"{watcher} listens to the robots")
             with contextlib.ExitStack() as stack:
                 for name, robot in self._script.driven.items():
-                    self._terminals[name] = stack.enter_context(TeleopTerminal(name))
+                    self._terminals[name] = stack.enter_context(TeleopTerminal(name, self._periods.leave_s))
                     self._subscribe(name, robot)
                 self._wait(self._take, lambda: self._script.waits_for)
                 # These subscriptions are what the node operator waits for before it gives goals.

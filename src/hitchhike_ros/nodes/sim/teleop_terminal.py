@@ -10,16 +10,15 @@ import threading
 
 from hitchhike_ros.core.errors import HitchhikeError
 
-_LEAVE_S = 10.0  # wall time that teleop has to end
 _QUIT = b"\x04"
 _SHOWN = 4096  # bytes of what it has shown that are kept
 
 
 class TeleopTerminal:
-    """Starts the teleop of robot ``name``; a context at whose end it is gone."""
+    """A context that starts the teleop of robot ``name``, and gives it ``leave_s`` of wall time to end."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, name: str, leave_s: float) -> None:
+        self._name, self._leave_s = name, leave_s
         self._terminal, slave = pty.openpty()
         command = ["rosrun", "hitchhike_ros", "teleop", f"__ns:=/{name}", "__name:=teleop"]
         self._process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True)
@@ -34,7 +33,7 @@ class TeleopTerminal:
         with contextlib.suppress(OSError):  # it has gone by itself
             os.write(self._terminal, _QUIT)
         try:
-            self._process.wait(_LEAVE_S)
+            self._process.wait(self._leave_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

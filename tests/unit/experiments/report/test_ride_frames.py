@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hitchhike_ros.experiments.report.ride_frames import FOLDER, FramePlan, find_frames, frame_name, frames_due
+import pytest
+
+from hitchhike_ros.experiments.report.ride_frames import (
+    FOLDER,
+    FramePlan,
+    KeptFrameParameters,
+    find_frames,
+    frame_name,
+    frames_due,
+)
 from hitchhike_ros.protocol.status import ModuleSwitches, RideStatus, Status
 from synthetic_ride import RIDE_M, synthetic_ride
 
@@ -73,3 +82,10 @@ def test_frames_are_found_by_their_names_in_order_of_time(tmp_path: Path) -> Non
     found = [(f.stamp, f.robot, f.state) for f in find_frames(tmp_path)]
     assert found == [(9.05, "turtlebot_2", "requesting"), (102.5, "turtlebot_2", "awaiting_aligned")]
     assert find_frames(tmp_path / "nowhere") == []
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"), [((480, 640, 3), (320, 240)), ((600, 800), (320, 240)), ((101, 320), (320, 101))]
+)
+def test_a_frame_is_kept_small_and_in_its_proportions(shape: tuple[int, ...], size: tuple[int, int]) -> None:
+    assert KeptFrameParameters().size(shape) == size
