@@ -71,7 +71,6 @@ class Agent:
         self._reversed_at = -math.inf
         self._booked_for = ""  # the ride after which another one was looked for
         self._beacon_due = self._forget_due = 0.0
-        self._driver = ""  # of the newest ride
 
     @property
     def rides(self) -> bool:
@@ -112,12 +111,10 @@ class Agent:
         """What the modules have to do now; ``others``: those that are on are told where other robots are."""
         machine = self.hitchhiker if self.rides else self.driver
         role = "hitchhiker" if self.rides else ("driver" if self.driver.offer is not None else "none")
-        if self.hitchhiker.offer is not None:
-            self._driver = self.hitchhiker.offer.robot_id
         # A driver without a rider stands there and waits, so it is remembered for as long.
-        p, servo = self.params, machine.servo
+        p, servo, driver = self.params, machine.servo, self.hitchhiker.driver
         asked = others and (machine.modules.OBS or machine.modules.MAP)
-        robots = self.neighbours.robots(now, p.robot_timeout_s, self._driver, p.lost_timeout_s) if asked else ()
+        robots = self.neighbours.robots(now, p.robot_timeout_s, driver, p.lost_timeout_s) if asked else ()
         return Status(
             time_stamp=now,
             robot_id=self.robot_id,

@@ -516,6 +516,21 @@ def test_a_driver_that_falls_silent_on_a_ride_counts_as_waiting_where_it_was() -
     assert world.rider.statuses[-1].robots == ()
 
 
+@pytest.mark.parametrize("asked", [True, False])
+def test_the_driver_of_an_offer_is_remembered_whether_or_not_anybody_asks_for_the_status(asked: bool) -> None:
+    agent = _agent()
+    agent.step(GoalGiven(RIDER_GOAL), 1.0)
+    agent.step(_here(1.0), 1.0)
+    agent.step(messages(ride_id=agent.hitchhiker.ride_id)[Accept], 1.1)
+    assert agent.hitchhiker.offer is not None
+    if asked:
+        agent.status(1.1)
+    agent.step(GoalCancelled(), 1.2)
+    assert len(agent.status(1.2 + agent.params.robot_timeout_s).robots) == 1
+    assert len(agent.status(1.0 + agent.params.lost_timeout_s).robots) == 1
+    assert agent.status(1.2 + agent.params.lost_timeout_s).robots == ()
+
+
 # Anything, in any order.
 
 _USUAL: dict[str, tuple[type[Message], ...]] = {

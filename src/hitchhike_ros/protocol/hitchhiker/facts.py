@@ -37,6 +37,7 @@ class HitchhikerFacts(Facts):
 
     # Of the newest request. They outlive the ride: its driver may still speak of it.
     ride_id: str = ""
+    driver: str = ""  # whose offer was taken, for this request or an earlier one
     handed_over: bool = False  # whether that ride ended with a handover
 
     # Of single phases.

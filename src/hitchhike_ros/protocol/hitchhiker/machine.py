@@ -131,6 +131,11 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         return self.facts.ride_id
 
     @property
+    def driver(self) -> str:
+        """The robot that drives it, or was the last to be asked to; "" before the first offer is taken."""
+        return self.facts.driver
+
+    @property
     def modules(self) -> ModuleSwitches:
         """P17 Table 3: while coupled only communication and servoing are on."""
         alone = self.state.phase not in _LED
@@ -403,7 +408,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
 
     def _choose_offer(self, choice: Choice) -> None:
         facts = self.facts
-        facts.choice = choice
+        facts.choice, facts.driver = choice, choice.offer.robot_id
         facts.rendezvous = Rendezvous(
             self.params, self._sites, self.ride_id, choice.meeting, facts.now, facts.ready_in_s
         )
