@@ -44,14 +44,14 @@ from hitchhike_ros.protocol.status import Status
 _ESTIMATE_AGE_S = 1.0
 # The status is repeated, since orders have an age (s).
 _STATUS_PERIOD_S = 1.0
-# A robot decides so often; a rider that follows its driver and a robot that has nothing to do decide less often while
-# nothing arrives (s, chosen).
-_PERIOD_S, _RIDING_PERIOD_S, _IDLE_PERIOD_S = 0.1, 0.3, 0.2
-# A step that comes this much early will do, or a clock with ticks would make each one late (s).
+# Messages that come again and again wait for one another so long after a step (s, chosen).
+_GATHER_S = 0.1
+# A step that comes this much early will do, or a clock with ticks would make each one late (s). What that step finds
+# not yet due waits as long for another.
 _EARLY_S = 1e-3
 # Refused messages of one sender are reported once in so long (s).
 _REPORT_PERIOD_S = 10.0
-# Messages that come again and again wait for the next step; all others are answered at once.
+# These come again and again; all others are answered at once.
 _REPEATED = (Ack, Beacon, Driver)
 
 
@@ -148,7 +148,8 @@ class HitchhikeComm:
         return self.inputs
 
     def sense(self, x: object, now: float) -> None:
-        """Store an input; a message that is not repeated by its sender makes a step due at once."""
+        """Store an input; a message that is not repeated by its sender makes a step due at once, as does servoing that
+        begins or ceases to follow."""
         match x:
             case NetworkText():
                 self._hear(x, now)
@@ -165,6 +166,7 @@ class HitchhikeComm:
             case PlanReport():
                 self._planning = x
             case Observations():
+                self._answer_now |= x.following != self._observations.following
                 self._observations = x
             case Refused():
                 self._refuse(x.sender, x.reason, now)
@@ -178,11 +180,13 @@ class HitchhikeComm:
             self._answer_now = True
 
     def next_due(self, now: float) -> float:
-        """At once for what wants an answer, else after a period that is longer while nothing happens."""
+        """At once for what wants an answer, soon for what has arrived, else when the agent wants it."""
         if self._answer_now or now < self._stepped_at:  # never stepped, or time jumped back
             return now
-        period_s = _PERIOD_S if self._events else step_period_s(self._published, self._observations.following)
-        return self._stepped_at + period_s - _EARLY_S
+        due = self._agent.next_due(now)
+        if self._events:
+            due = min(due, self._stepped_at + _GATHER_S)
+        return max(due - _EARLY_S, self._stepped_at + _EARLY_S)
 
     def step(self, now: float) -> HitchhikeCommOutputs:
         """Take all events and the passing of time."""
@@ -286,17 +290,3 @@ class HitchhikeComm:
         if self._grid is None:
             raise PlanningError("no map received yet")
         return self._planner.plan(self._grid, start, goal)
-
-
-def step_period_s(published: Status | None, following: str) -> float:
-    """How long a robot waits between its steps while nothing arrives, in s.
-
-    Args:
-        published: its newest status, None before the first.
-        following: what servoing does to follow, as :attr:`Status.following`.
-    """
-    if published is None:
-        return _PERIOD_S
-    if published.state == "riding" and following == "following":
-        return _RIDING_PERIOD_S
-    return _IDLE_PERIOD_S if published.goal is None and published.servo is None else _PERIOD_S

@@ -71,6 +71,7 @@ class Agent:
         self._reversed_at = -math.inf
         self._booked_for = ""  # the ride after which another one was looked for
         self._beacon_due = self._forget_due = 0.0
+        self._ticked_at = math.inf
 
     @property
     def rides(self) -> bool:
@@ -107,6 +108,19 @@ class Agent:
         assert isinstance(event, Message)
         return self._hear(event, now)
 
+    def next_due(self, now: float) -> float:
+        """When it wants its next Tick while nothing arrives, in s; ``now`` or earlier: at once.
+
+        That is when it looks at its situation again, and never later than :meth:`next_deadline`.
+        """
+        if now < self._ticked_at:  # never ticked, or time jumped back
+            return now
+        return min(self._ticked_at + self._look_period_s(), self.next_deadline())
+
+    def next_deadline(self) -> float:
+        """When it has to do something even if nothing changes around it, but for its beacon, in s; inf: never."""
+        return min(self.hitchhiker.next_deadline(), self.driver.next_deadline())
+
     def status(self, now: float, others: bool = True) -> Status:
         """What the modules have to do now; ``others``: those that are on are told where other robots are."""
         machine = self.hitchhiker if self.rides else self.driver
@@ -142,8 +156,14 @@ class Agent:
             effects += self.driver.step(message, now)
         return effects
 
+    def _look_period_s(self) -> float:
+        p, phase = self.params, (self.hitchhiker if self.rides else self.driver).state.phase
+        if self.rides and phase is Phase.COUPLED and self._situation.following == "following":
+            return p.riding_look_period_s
+        return p.idle_look_period_s if self.outcome is not None or phase is Phase.ASKING else p.look_period_s
+
     def _tick(self, tick: Tick, now: float) -> list[Effect]:
-        self._situation = tick.situation
+        self._situation, self._ticked_at = tick.situation, now
         rode = self.rides
         effects = self.hitchhiker.step(tick, now) + self.driver.step(tick, now)
         effects += self._book(now)

@@ -9,6 +9,7 @@ Machines know no ROS, no clock and no thread, so nodes, simulations and tests st
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from enum import Enum
@@ -60,7 +61,7 @@ def entered(f: Facts) -> float:
 
 @dataclass(frozen=True)
 class Deadline:
-    """What a row waits for: more than ``limit`` s have passed ``since`` then, by default since the state was begun."""
+    """What a row waits for: ``limit`` s have passed ``since`` then, by default since the state was begun."""
 
     limit: Callable[[Any], float]
     since: Callable[[Any], float] = entered
@@ -69,8 +70,12 @@ class Deadline:
     def name(self) -> str:
         return self.limit.__name__
 
+    def at(self, f: Facts) -> float:
+        """When it is over; a tick at that very time finds it so."""
+        return self.since(f) + self.limit(f)
+
     def is_over(self, f: Facts) -> bool:
-        return f.now - self.since(f) > self.limit(f)
+        return f.now >= self.at(f)
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,12 @@ class Machine(Generic[S, F]):
                 raise TransitionError(self.state.value, type(event).__name__)
             self.ignored += 1
         return self._effects
+
+    def next_deadline(self) -> float:
+        """When the state's deadline is over or a last word is to be said again, in s; inf where there is neither."""
+        rows = self.TABLE.deadlines.get(self.state)
+        due = math.inf if rows is None else deadline(rows).at(self.facts)
+        return min(due, self._last_words[0][0]) if self._last_words else due
 
     def _tick(self, tick: Tick) -> None:
         """Deadlines first, one after another; then what is repeated; then the rows of the state."""

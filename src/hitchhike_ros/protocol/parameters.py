@@ -47,6 +47,11 @@ class HitchhikingParameters:
     couple_s: NonNegative = 6.0  # what an itinerary counts for coupling
     decouple_s: NonNegative = 3.0
 
+    # While nothing arrives it looks so often what its modules say: that it is at its goal, or sees its driver.
+    look_period_s: Positive = 0.1
+    idle_look_period_s: Positive = 0.2  # without a goal, and while it asks: all else arrives or is a deadline
+    riding_look_period_s: Positive = 0.3  # while it follows steadily; when servoing no longer does, that arrives
+
     beacon_period_s: Positive = 1.0
     request_period_s: Positive = 1.0
     repeat_period_s: Positive = 0.5  # of whatever is not yet acknowledged

@@ -11,14 +11,14 @@ import pytest
 from flat_world import TURTLEBOT
 from hitchhike_ros.core.datatypes import Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.modules.hitchhike_comm import HitchhikeComm, HitchhikeCommOutputs, Outcome, step_period_s
+from hitchhike_ros.modules.hitchhike_comm import HitchhikeComm, HitchhikeCommOutputs, Outcome
 from hitchhike_ros.modules.inputs import NetworkText, PlanReport
 from hitchhike_ros.modules.module import Level, Refused
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven, NavigationReport
 from hitchhike_ros.protocol.messages import Ack, Beacon, Request, decode, encode
+from hitchhike_ros.protocol.observations import Observations
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.protocol.status import ANY_MARKER, GoalCommand, ServoCommand, Status
 from protocol_helpers import CAMERA, MARKER_POSE, SITES
 
 GRID = OccupancyGrid(np.zeros((120, 300), dtype=np.int8), 0.1, Pose2D())
@@ -59,29 +59,6 @@ def text(message: object, robot_id: str = "p3dx", seq: int = 1, stamp: float = 1
     return NetworkText(encode(replace(message, robot_id=robot_id, seq=seq, time_stamp=stamp)), "/p3dx/comm")  # type: ignore[type-var]
 
 
-GOAL, FOLLOW, OBSERVE = GoalCommand("g", 1.0, 2.0, 0.0), ServoCommand("follow", 1), ServoCommand("observe", ANY_MARKER)
-RIDING = Status(0.0, "r", role="hitchhiker", state="riding", servo=FOLLOW)
-
-
-@pytest.mark.parametrize(
-    ("published", "following", "period_s"),
-    [
-        (None, "", 0.1),
-        (Status(0.0, "r"), "", 0.2),
-        (RIDING, "following", 0.3),
-        *((RIDING, f, 0.1) for f in ("", "coasting", "looking", "turning", "searching", "stopped")),
-        (Status(0.0, "r", role="hitchhiker", state="seeking", servo=FOLLOW), "following", 0.1),
-        (Status(0.0, "r", role="hitchhiker", state="coupling", servo=FOLLOW), "following", 0.1),
-        (Status(0.0, "r", role="hitchhiker", state="requesting"), "", 0.2),
-        (Status(0.0, "r", role="driver", state="driving", goal=GOAL), "", 0.1),
-        (Status(0.0, "r", role="driver", state="aligning", goal=GOAL, servo=OBSERVE), "", 0.1),
-        (Status(0.0, "r", servo=OBSERVE), "", 0.1),
-    ],
-)
-def test_it_steps_less_often_while_nothing_happens(published: Status | None, following: str, period_s: float) -> None:
-    assert step_period_s(published, following) == period_s
-
-
 def test_it_steps_at_once_when_it_is_new_and_after_time_jumped_back() -> None:
     module = comm()
     assert module.next_due(5.0) <= 5.0
@@ -90,6 +67,29 @@ def test_it_steps_at_once_when_it_is_new_and_after_time_jumped_back() -> None:
     assert module.next_due(1.0) <= 1.0
     module.step(1.0)
     assert module.next_due(1.0) > 1.0
+
+
+def test_it_steps_when_its_agent_looks_a_little_early_and_when_a_deadline_is_over() -> None:
+    module = placed(10.0, idle_look_period_s=0.7, max_wait_s=5.0)
+    assert module.next_due(10.0) == pytest.approx(10.7, abs=0.002)
+    module.order(GoalGiven(FAR), 10.0)
+    states, now = {}, 10.0
+    for _ in range(12):
+        now = max(now, module.next_due(now))
+        module.sense(estimate(now), now)
+        status = module.step(now).status
+        if status is not None:
+            states.setdefault(status.state, now)
+    assert states["requesting"] == 10.0
+    assert 15.0 <= states["navigating"] < 15.003
+
+
+def test_it_steps_at_once_when_servoing_begins_or_ceases_to_follow() -> None:
+    module, now = placed(10.0), 10.01
+    for stamp, following, at_once in ((10.0, "following", True), (10.1, "following", False), (10.2, "coasting", True)):
+        module.sense(Observations(stamp, (), following), now)
+        assert (module.next_due(now) <= now) == at_once
+        module.step(now)
 
 
 @pytest.mark.parametrize(

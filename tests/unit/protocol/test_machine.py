@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,6 +85,11 @@ class Lamp(Machine[State, LampFacts]):
     def _mourn(self) -> None:
         self._report(f"{self.facts.asked} are forgotten")
 
+    def say_last(self, word: Terminate, now: float) -> None:
+        """For a while, at 2 Hz."""
+        self.facts.now = now
+        self._send_last_word(word, 0.5, 1.5)
+
     def _end(self, message: Terminate) -> None:
         self.ending = Ending.told(message.reason)
 
@@ -115,11 +121,33 @@ def test_an_earlier_row_goes_before_a_later_one() -> None:
 def test_a_deadline_goes_before_all_and_counts_from_where_its_function_says() -> None:
     machine = lamp()
     machine.step(GoalGiven(None), 1.0)
-    assert machine.step(TICK, 4.0) != []
+    assert machine.step(TICK, 3.9) != []
     assert machine.state is S.ASKING
     machine.facts.voltage = 20.0
-    assert machine.step(TICK, 4.1) == [Report("Driver is late", Reason.DRIVER_LATE)]
-    assert (machine.state, machine.ending, machine.facts.entered) == (S.OFF, Ending(Reason.DRIVER_LATE), 4.1)
+    assert machine.step(TICK, 4.0) == [Report("Driver is late", Reason.DRIVER_LATE)]
+    assert (machine.state, machine.ending, machine.facts.entered) == (S.OFF, Ending(Reason.DRIVER_LATE), 4.0)
+
+
+def test_a_machine_says_when_it_acts_by_itself_and_a_tick_then_is_not_too_early() -> None:
+    machine = lamp()
+    assert machine.next_deadline() == math.inf
+    machine.step(GoalGiven(None), 0.1)
+    machine.facts.patience_s = 0.2  # 0.1 + 0.2 - 0.1 is not 0.2
+    due = machine.next_deadline()
+    assert due == pytest.approx(0.3)
+    machine.step(TICK, due)
+    assert machine.state is S.OFF
+    assert machine.next_deadline() == math.inf
+
+
+def test_last_words_are_due_one_after_another_whatever_the_state() -> None:
+    machine = lamp()
+    machine.say_last(Terminate(robot_id="lamp", reason="Riders move up"), 1.0)
+    due = []
+    while machine.next_deadline() < math.inf:
+        due.append(machine.next_deadline())
+        assert len(machine.step(TICK, due[-1])) == 1
+    assert due == pytest.approx([1.5, 2.0, 2.5])
 
 
 def test_facts_of_a_phase_are_there_in_it_and_for_the_action_that_leaves_it() -> None:

@@ -516,6 +516,59 @@ def test_a_driver_that_falls_silent_on_a_ride_counts_as_waiting_where_it_was() -
     assert world.rider.statuses[-1].robots == ()
 
 
+@pytest.mark.parametrize(
+    ("who", "state", "following", "period_s"),
+    [
+        ("rider", "requesting", "", 0.2),
+        ("rider", "awaiting_aligned", "", 0.1),
+        ("rider", "coupling", "following", 0.1),
+        ("rider", "riding", "following", 0.3),
+        *(("rider", "riding", how, 0.1) for how in ("", "coasting", "looking", "turning", "searching", "stopped")),
+        ("rider", "settling", "following", 0.1),
+        ("rider", "navigating", "", 0.1),
+        ("rider", "idle", "", 0.2),
+        ("driver", "navigating", "", 0.1),
+        ("driver", "offering", "", 0.2),
+        ("driver", "aligned", "", 0.1),
+        ("driver", "driving", "following", 0.1),
+        ("driver", "idle", "", 0.2),
+    ],
+)
+def test_it_looks_less_often_where_there_is_less_to_notice(
+    who: str, state: str, following: str, period_s: float
+) -> None:
+    world = World()
+    robot, other = (world.rider, world.driver) if who == "rider" else (world.driver, world.rider)
+    world.run(1.0).run(until=lambda: robot.statuses[-1].state == state)
+    situation = replace(robot.situation(world.now, other), following=following)
+    robot.agent.step(Tick(situation), world.now)
+    assert robot.agent.status(world.now).state == state
+    assert robot.agent.next_due(world.now) - world.now == pytest.approx(period_s, abs=1e-6)
+
+
+def test_it_looks_at_once_when_it_is_new_and_after_time_jumped_back_and_often_until_it_knows_where_it_is() -> None:
+    agent = _agent()
+    assert agent.next_due(5.0) <= 5.0
+    agent.step(Tick(Situation()), 5.0)
+    assert agent.next_due(5.0) == pytest.approx(5.2)
+    assert agent.next_due(4.0) <= 4.0
+    agent.step(GoalGiven(RIDER_GOAL), 5.0)
+    agent.step(Tick(Situation()), 5.0)
+    assert agent.next_due(5.0) == pytest.approx(5.1)
+
+
+def test_it_looks_when_a_deadline_is_over_and_then_it_is() -> None:
+    agent = _agent(max_wait_s=10.0)
+    agent.step(GoalGiven(RIDER_GOAL), 1.0)
+    agent.step(_here(1.0), 1.0)
+    assert agent.next_deadline() == 11.0
+    agent.step(_here(10.9), 10.9)
+    assert agent.next_due(10.9) == 11.0
+    agent.step(_here(11.0), 11.0)
+    assert not agent.rides
+    assert agent.next_deadline() == math.inf
+
+
 @pytest.mark.parametrize("asked", [True, False])
 def test_the_driver_of_an_offer_is_remembered_whether_or_not_anybody_asks_for_the_status(asked: bool) -> None:
     agent = _agent()
