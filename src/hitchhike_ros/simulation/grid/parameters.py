@@ -28,10 +28,6 @@ class GridWorldParameters:
     marker_sigma_rad: NonNegative = 0.01
     # A follower that lags behind catches up by this much faster than rides are driven.
     follow_factor: Positive = 1.3
-    # Who is engaged looks again after this share of the shortest of its own periods.
-    tick_share: Positive = 0.5
-    # The same for those who only drive, with a rider, behind a driver or to where they meet.
-    cruise_share: Positive = 0.5
     # Positions for the radio are not older than this; 0: they are those of now.
     radio_refresh_s: NonNegative = 0.0
     json_messages: bool = True  # as text through the robots' inboxes, or as objects past them

@@ -84,7 +84,6 @@ class GridRobot:
     due: float = math.inf  # of its next tick
     beacon_due: float = 0.0
     engaged: bool = False  # in more than driving alone
-    lingers_until: float = -math.inf  # it repeats its last words of a ride until then
     # Of its navigation and its camera.
     goal_id: str = ""
     goal_error: str | None = None
@@ -96,10 +95,6 @@ class GridRobot:
     # When the current state began, and what the odometer said then.
     since: float = 0.0
     metres_at: float = 0.0
-
-    def __post_init__(self) -> None:
-        p = self.params
-        self.shortest_s = min(p.update_period_s, p.repeat_period_s, p.request_period_s)
 
     @property
     def trip(self) -> Trip | None:
@@ -123,10 +118,7 @@ class GridRobot:
             self.account(now)
             self.history.append((now, status.state, status.reason))
         self.status = status
-        quiet = status.phase is Phase.ALONE  # nothing happens that no event tells of
-        if self.engaged and quiet:
-            self.lingers_until = now + self.params.confirm_timeout_s + self.params.repeat_period_s
-        self.engaged = not quiet
+        self.engaged = status.phase is not Phase.ALONE
 
     def account(self, now: float) -> None:
         """Credit time and metres since the last change of state to the state that ends."""
@@ -168,5 +160,5 @@ class GridRobot:
     def wake(self, agent: Agent, inbox: Inbox | ObjectInbox, now: float) -> None:
         """Its computer is on again, and remembers nothing but the map."""
         self.agent, self.inbox, self.outbox = agent, inbox, Outbox()
-        self.alive, self.key, self.lingers_until = True, (None, None), -math.inf
+        self.alive, self.key = True, (None, None)
         self.status, self.since = agent.status(now + self.clock_offset_s, others=False), now

@@ -45,9 +45,6 @@ from hitchhike_ros.simulation.grid.stand_ins import StandIns
 from hitchhike_ros.simulation.grid.trace import Observer, Trace
 from hitchhike_ros.simulation.radio import NetworkModel, NetworkParameters
 
-# States of a ride in which nothing happens; a robot that arrives somewhere, or hears something, looks at once.
-_CRUISING_STATES = frozenset({"aligning", "awaiting_aligned", "driving", "riding"})
-
 # Two ticks of one robot are not nearer than this, or an arrival could cause itself.
 _LEAST_STEP_S = 0.01
 
@@ -289,13 +286,12 @@ class GridWorld:
             due = min(due, body.time + (robot.perceives_at_m - body.odometer_m) / body.speed_mps)
         if robot.news:
             due, robot.news = soonest, False
-        if robot.engaged or robot.goal_error is not None or now < robot.lingers_until:
-            due = min(due, now + self._period(robot))
+        local = now + robot.clock_offset_s
+        # Of a robot that drives or stands alone all that it might notice is an event.
+        looks = robot.engaged or robot.goal_error is not None
+        wanted = robot.agent.next_due(local) if looks else robot.agent.next_deadline()
+        due = min(due, wanted - robot.clock_offset_s)
         self._plan_tick_at(robot, max(due, soonest))
-
-    def _period(self, robot: GridRobot) -> float:
-        cruises = robot.status.state in _CRUISING_STATES
-        return robot.shortest_s * (self.params.cruise_share if cruises else self.params.tick_share)
 
     def _carry_out(self, robot: GridRobot, effect: Effect, local: float) -> None:
         if isinstance(effect, Send):

@@ -14,7 +14,7 @@ from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.events import Send, Tick
-from hitchhike_ros.protocol.messages import Decouple, Message
+from hitchhike_ros.protocol.messages import Decouple, Message, Terminate
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.grid.body import Body
 from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
@@ -236,6 +236,56 @@ def test_a_robot_that_waits_at_its_place_is_not_ticked_all_the_time() -> None:
     w.run(100.0)
     assert w.robots["rider"].state_s["requesting"] > 20.0
     assert w.events < 100.0 * 4 * 4
+
+
+@pytest.mark.parametrize(
+    ("periods", "riding_s", "driving_s"),
+    [({}, 0.3, 0.1), ({"look_period_s": 0.4, "riding_look_period_s": 0.5}, 0.5, 0.4)],
+)
+def test_on_a_ride_robots_are_ticked_when_their_agents_look(
+    periods: dict[str, float], riding_s: float, driving_s: float
+) -> None:
+    w = world()
+    rider = w.add_robot("rider", WAITING, parameters(1, profile=40.0, **periods), [Errand(GOAL)])
+    trip = [Errand(FARTHER, 5.0)]
+    driver = w.add_robot("driver", Pose2D(2.0, 10.0), parameters(2, profile=80.0, may_ride=False, **periods), trip)
+    ticks: dict[str, list[float]] = {"rider": [], "driver": []}
+
+    def note(now: float, name: str, event: object, _effects: object) -> None:
+        if isinstance(event, Tick) and (rider.status.state, driver.status.state) == ("riding", "driving"):
+            ticks[name].append(now)
+
+    w.observers.append(note)
+    assert w.run(300.0, w.idle)
+    for times, period_s in ((ticks["rider"], riding_s), (ticks["driver"], driving_s)):
+        apart = np.diff(times)
+        assert apart.max() == pytest.approx(period_s)
+        assert np.median(apart) == pytest.approx(period_s)
+
+
+def test_a_robot_that_stands_alone_repeats_its_last_words_in_time_and_is_not_ticked_otherwise() -> None:
+    w = world()
+    quiet = {"beacon_period_s": 30.0, "robot_timeout_s": 60.0}
+    rider = w.add_robot("rider", WAITING, parameters(1, profile=40.0, **quiet), [Errand(GOAL)])
+    trip = [Errand(FARTHER, 5.0)]
+    w.add_robot("driver", Pose2D(2.0, 10.0), parameters(2, profile=80.0, may_ride=False, **quiet), trip)
+    w.run(100.0, lambda: rider.status.state == "riding")
+    w.crash("driver")
+    w.give_goal("rider", None)
+    assert w.run(w.now + 10.0, lambda: rider.status.state == "idle")
+    ticks, words = [], []
+
+    def note(now: float, _name: str, event: object, effects: object) -> None:
+        assert isinstance(event, Tick)
+        assert isinstance(effects, list)
+        ticks.append(now)
+        words.extend(now for e in effects if isinstance(e, Send) and isinstance(e.message, Terminate))
+
+    w.observers.append(note)
+    w.run(w.now + 8.0)
+    assert len(words) >= 5
+    assert np.diff(words) == pytest.approx(rider.params.repeat_period_s)
+    assert len(ticks) <= len(words) + 2
 
 
 def test_the_same_name_or_marker_twice_is_refused() -> None:
