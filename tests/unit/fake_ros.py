@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import rospy
 
-from hitchhike_ros.ros_io.node import Diagnostics
+from hitchhike_ros.ros_io.node import DiagnosticsUpdater
 
 
 class FakeRos:
@@ -100,6 +100,8 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> FakeRos:
     }
     for name, replacement in replacements.items():
         monkeypatch.setattr(rospy, name, replacement)
-    monkeypatch.setattr(Diagnostics, "_repeat", lambda _self: None)  # what changes is published at once all the same
+    monkeypatch.setattr(
+        DiagnosticsUpdater, "_repeat", lambda _self: None
+    )  # what changes is published at once all the same
     monkeypatch.setattr(rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(fake.now)))
     return fake

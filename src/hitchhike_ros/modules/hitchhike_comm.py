@@ -92,6 +92,7 @@ class HitchhikeComm:
             *(NavigationReport, PlanReport, Observations),
         }
     )
+    patient: ClassVar[frozenset[type]] = inputs - {NetworkText}
 
     def __init__(
         self,

@@ -149,6 +149,7 @@ class Mapping3D:
 
     name: ClassVar[str] = "mapping_3d"
     inputs: ClassVar[frozenset[type]] = _SENSORS | {NetworkText}
+    patient: ClassVar[frozenset[type]] = frozenset()
 
     def __init__(
         self,

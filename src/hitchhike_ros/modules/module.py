@@ -76,6 +76,8 @@ class Module(Protocol[O_co]):
     name: ClassVar[str]
     inputs: ClassVar[frozenset[type]]
     """Every type that it may ever take: one type a meaning."""
+    patient: ClassVar[frozenset[type]]
+    """Of these, what never makes it due: a host may keep it until something else does, and then hands on all of it."""
 
     def listens(self) -> frozenset[type]:
         """The inputs that it takes now; a host subscribes to no others and converts no others."""

@@ -67,6 +67,7 @@ class ObstacleAvoidance:
 
     name: ClassVar[str] = "obstacle_avoidance"
     inputs: ClassVar[frozenset[type]] = frozenset(_COUNTERS)
+    patient: ClassVar[frozenset[type]] = frozenset({Odometry})  # it serves the next scan
 
     def __init__(
         self,

@@ -82,6 +82,7 @@ class PathPlanning:
 
     name: ClassVar[str] = "path_planning"
     inputs: ClassVar[frozenset[type]] = frozenset(_COUNTERS)
+    patient: ClassVar[frozenset[type]] = frozenset()
 
     def __init__(self, planner: GlobalPlanner, params: PathPlanningParameters, *, always_on: bool = False) -> None:
         """With ``always_on`` it is on without anyone's status, for :meth:`make_plan` alone."""

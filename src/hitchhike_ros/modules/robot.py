@@ -92,6 +92,11 @@ class Robot:
         taken: frozenset[type] = frozenset().union(*(module.listens() for module in self.modules.values()))
         return taken & self._from_outside
 
+    def patient(self) -> frozenset[type]:
+        """What makes none of the modules due that take it now."""
+        wants: frozenset[type] = frozenset().union(*(m.listens() - m.patient for m in self.modules.values()))
+        return self._from_outside - wants
+
     def sense(self, x: object, now: float) -> None:
         """Hand an input from outside to all modules that take it now."""
         kind = x.what if isinstance(x, Refused) else type(x)

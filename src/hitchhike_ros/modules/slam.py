@@ -33,8 +33,6 @@ _BAD: dict[type, str] = {
 }
 # What is taken while localization is off too.
 _ALWAYS = frozenset({InitialPose, HandedOverObstacles})
-# What is stored until the next step that something else asks for: a filter takes it at its own time.
-_PATIENT = (Odometry, Observations)
 
 
 @dataclass(frozen=True)
@@ -77,6 +75,7 @@ class Slam:
 
     name: ClassVar[str] = "slam"
     inputs: ClassVar[frozenset[type]] = frozenset(_BAD)
+    patient: ClassVar[frozenset[type]] = frozenset({Odometry, Observations})  # a filter takes them at its own time
 
     def __init__(
         self,
@@ -151,7 +150,7 @@ class Slam:
         what = x.what if isinstance(x, Refused) else type(x)
         if what in self.listens():
             self._arrived.append(x)
-            self._asked = self._asked or what not in _PATIENT
+            self._asked = self._asked or what not in self.patient
 
     def order(self, order: Order, now: float) -> None:
         """The status says whether localization and mapping are on, whether there is a goal, and where others are."""

@@ -60,6 +60,7 @@ class Teleoperation:
 
     name: ClassVar[str] = "teleop"
     inputs: ClassVar[frozenset[type]] = frozenset({Joystick, KeysPressed, HumanLeaves})
+    patient: ClassVar[frozenset[type]] = frozenset()
 
     def __init__(self, params: TeleopParameters, status_topic: str) -> None:
         self._human, self._status_topic = Teleop(params), status_topic

@@ -57,6 +57,7 @@ class VelocityMux:
 
     name: ClassVar[str] = "velocity_mux"
     inputs: ClassVar[frozenset[type]] = frozenset(_SOURCE_OF)
+    patient: ClassVar[frozenset[type]] = frozenset()
 
     def __init__(self, params: VelocityMuxParameters, limits: RobotLimits) -> None:
         self._params, self._limits = params, limits

@@ -116,6 +116,7 @@ class VisualServoing:
 
     name: ClassVar[str] = "visual_servoing"
     inputs: ClassVar[frozenset[type]] = frozenset(_BAD)
+    patient: ClassVar[frozenset[type]] = inputs - {CameraImage}  # they serve the next image
 
     def __init__(
         self,

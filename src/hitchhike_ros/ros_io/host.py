@@ -1,7 +1,7 @@
 """The host of pure modules in a ROS node: it subscribes, converts, steps and publishes, and decides nothing.
 
-Callbacks queue messages and wake one thread. Only that thread touches the module: it converts and hands on what has
-arrived, steps the module while it is due, and publishes its outputs.
+Callbacks queue messages and wake one thread, unless no module is in a hurry for them. Only that thread touches the
+module: it converts and hands on what has arrived, steps the module while it is due, and publishes its outputs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.modules.module import Level, Module, Order, Outputs, Refused
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.ros_io.inlets import INLETS, Inlet
-from hitchhike_ros.ros_io.node import Diagnostics, LockstepAnswer
+from hitchhike_ros.ros_io.node import Diagnostics, DiagnosticsUpdater, LockstepAnswer
 from hitchhike_ros.ros_io.outlets import Outlet
 from hitchhike_ros.ros_io.parameters import resolve
 
@@ -41,6 +41,7 @@ class Steppable(Protocol):
     """A module, or all modules of a robot, as a host sees them; :class:`modules.module.Module` says what each means."""
 
     def listens(self) -> frozenset[type]: ...
+    def patient(self) -> frozenset[type]: ...
     def sense(self, x: object, now: float) -> None: ...
     def order(self, order: Order, now: float) -> None: ...
     def next_due(self, now: float) -> float: ...
@@ -59,6 +60,10 @@ class Single:
             module.order,
             module.next_due,
         )
+
+    def patient(self) -> frozenset[type]:
+        """What never makes the module due."""
+        return self.module.patient
 
     def step(self, now: float) -> Sequence[tuple[str, Outputs]]:
         """As :meth:`Steppable.step`."""
@@ -83,6 +88,7 @@ class ModuleHost:
         orders: whether orders come as messages. A robot with hitchhike_comm gives its own orders, and its host ignores
             the messages that its own node has published.
         also: called with the name and the outputs of each module that was stepped, for outputs that no topic carries.
+        updater: publishes the health of the modules together with that of the node's other parts.
         start: whether the thread is started; a test calls :meth:`turn` instead.
     """
 
@@ -93,6 +99,7 @@ class ModuleHost:
         *,
         orders: bool = True,
         also: Callable[[str, Outputs], None] = lambda _name, _outputs: None,
+        updater: DiagnosticsUpdater | None = None,
         start: bool = True,
     ) -> None:
         self._robot, self._also = robot, also
@@ -101,13 +108,17 @@ class ModuleHost:
         self._changed = threading.Condition()
         self._arrived: deque[_Arrived | Callable[[], None]] = deque()
         self._waiting: dict[Inlet, int] = {}
+        self.hurries = False
+        """Whether the thread is to look at once at what has arrived."""
         self._kept: dict[Outlet, Any] = {}
         self._publishers = {outlet: self._publisher(outlet) for outlets in self._outlets.values() for outlet in outlets}
-        self._diagnostics = {name: Diagnostics(name) for name in self._outlets}
+        updater = updater or DiagnosticsUpdater()
+        self._diagnostics = {name: Diagnostics(name, updater) for name in self._outlets}
         self._answers = {name: LockstepAnswer(name) for name in self._outlets}
         self._due = -float("inf")
         self._logged: dict[tuple[str, str], float] = {}
         self._orders: frozenset[type] = frozenset({Status}) if orders else frozenset()
+        self._listened, self._patient = frozenset[type](), frozenset[type]()
         self._subscribers: dict[type, rospy.Subscriber] = {}
         self._clock: rospy.Subscriber | None = None
         self._thread = threading.Thread(target=self._run, name="modules", daemon=True)
@@ -120,7 +131,11 @@ class ModuleHost:
     # From any thread.
 
     def receive(self, inlet: Inlet, msg: Any) -> None:
-        """Queue a message for the thread; where the queue is full, the oldest message in it is dropped."""
+        """Queue a message for the thread; where the queue is full, the oldest message in it is dropped.
+
+        The thread is woken unless no module is in a hurry for the message. A queue that is to lose none wakes it when
+        it is half full.
+        """
         if not self._orders and _sender(msg) == rospy.get_name():
             return
         with self._changed:
@@ -129,7 +144,9 @@ class ModuleHost:
                 self._waiting[inlet] -= 1
             self._waiting[inlet] = self._waiting.get(inlet, 0) + 1
             self._arrived.append(_Arrived(inlet, msg, rospy.get_time()))
-            self._changed.notify_all()
+            if inlet.what not in self._patient or 1 < inlet.queue_size <= 2 * self._waiting[inlet]:
+                self.hurries = True
+                self._changed.notify_all()
 
     def call(self, function: Callable[[], T], timeout_s: float = 5.0) -> T:
         """Run ``function`` on the thread that steps the module, as services do, and return or raise what it does.
@@ -145,6 +162,7 @@ class ModuleHost:
         """Queue ``function`` for the thread that steps the module."""
         with self._changed:
             self._arrived.append(function)
+            self.hurries = True
             self._changed.notify_all()
 
     def order(self, order: Order) -> None:
@@ -161,16 +179,16 @@ class ModuleHost:
     def turn(self, now: float) -> None:
         """Hand on what has arrived, step while something is due at ``now`` in s of ROS time, and publish."""
         with self._changed:
-            arrived, self._arrived, self._waiting = self._arrived, deque(), {}
+            arrived, self._arrived, self._waiting, self.hurries = self._arrived, deque(), {}, False
         for item in arrived:
             if isinstance(item, _Arrived):
                 self._hand_on(item)
             else:
                 item()
-        while self._robot.next_due(now) <= now:
+        while (due := self._robot.next_due(now)) <= now:
             for name, outputs in self._robot.step(now):
                 self._publish(name, outputs)
-        self._due = self._robot.next_due(now)
+        self._due, self._patient = due, self._robot.patient()
         self._listen()
 
     def _run(self) -> None:
@@ -186,10 +204,10 @@ class ModuleHost:
             rospy.signal_shutdown("modules ended")
 
     def _wait(self) -> None:
-        """Wait until something has arrived or is due, or the longest wait is over."""
+        """Wait until a message in a hurry has arrived or a step is due, or the longest wait is over."""
         with self._changed:
             end = time.monotonic() + _LONGEST_WAIT_S
-            while not self._arrived and (due_in := self._due - rospy.get_time()) > 0.0:
+            while not self.hurries and (due_in := self._due - rospy.get_time()) > 0.0:
                 left = end - time.monotonic()
                 if left <= 0.0:
                     return
@@ -246,6 +264,9 @@ class ModuleHost:
     def _listen(self) -> None:
         """Subscribe to what the modules take now and to no more, so that a module that is off costs next to nothing."""
         wanted = self._robot.listens() | self._orders
+        if wanted == self._listened:
+            return
+        self._listened = wanted
         for what in self._subscribers.keys() - wanted:
             self._subscribers.pop(what).unregister()
         for what in wanted - self._subscribers.keys():

@@ -54,8 +54,17 @@ def every(period_s: float, callback: Callable[[], object]) -> rospy.Timer:
     return rospy.Timer(rospy.Duration.from_sec(period_s), call, reset=True)
 
 
-class _Updater(diagnostic_updater.Updater):
-    """Names what it reports after the robot and not after the node: a module is called the same in every process."""
+class DiagnosticsUpdater(diagnostic_updater.Updater):
+    """Publishes the health of all parts of a node on ``/diagnostics``, in one message at 1 Hz.
+
+    A part is named after the robot and not after the node: a module is called the same in every process. The period is
+    in wall time, since people watch it; simulated time may be faster or stand still.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setHardwareID(rospy.get_name())
+        threading.Thread(target=self._repeat, name="diagnostics", daemon=True).start()
 
     def publish(self, msg: Any) -> None:
         """Publish one status or a list of them."""
@@ -65,20 +74,21 @@ class _Updater(diagnostic_updater.Updater):
             status.name = f"{robot}: {status.name}"
         self.publisher.publish(DiagnosticArray(Header(stamp=rospy.Time.now()), statuses))
 
+    def _repeat(self) -> None:
+        while not rospy.is_shutdown():
+            self.force_update()
+            rospy.rostime.wallsleep(1.0)
+
 
 class Diagnostics:
-    """``/diagnostics`` at 1 Hz: the level and message last set, and counters.
+    """The health of one part of a node: the level and message last set, and counters."""
 
-    The period is in wall time, since people watch it; simulated time may be faster or stand still.
-    """
-
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, updater: DiagnosticsUpdater | None = None) -> None:
+        """``updater`` publishes the part together with the node's other parts; without one it publishes itself."""
         self._level, self._message = OK, "starting"
         self._values: dict[str, object] = {}
-        self._updater = _Updater()
-        self._updater.setHardwareID(rospy.get_name())
+        self._updater = updater or DiagnosticsUpdater()
         self._updater.add(name, self._report)
-        threading.Thread(target=self._repeat, name="diagnostics", daemon=True).start()
 
     def set(self, level: int, message: str, **values: object) -> None:
         """Set what is published from now on. A change of level is published at once."""
@@ -93,11 +103,6 @@ class Diagnostics:
         total = int(str(self._values.get(what, 0))) + by
         self._values[what] = total
         return total
-
-    def _repeat(self) -> None:
-        while not rospy.is_shutdown():
-            self._updater.force_update()
-            rospy.rostime.wallsleep(1.0)
 
     def _report(self, status: diagnostic_updater.DiagnosticStatusWrapper) -> diagnostic_updater.DiagnosticStatusWrapper:
         status.summary(self._level, self._message)

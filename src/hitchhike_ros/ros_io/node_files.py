@@ -13,6 +13,7 @@ from hitchhike_ros.core.errors import HitchhikeError, WorldFileError
 from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.core.robot_model import fixed_transforms, mount
 from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.mapping.sites import Sites, load_hitchhiking, load_sites
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.ros_io.conversions import grid_from_msg
@@ -25,8 +26,9 @@ class NodeFiles:
     """Reads what :class:`modules.robot_files.RobotFiles` names, each when it is first asked for.
 
     Private parameters of the node: ~config (path of a file with one section per component), ~urdf (path), ~world
-    (path), ~robot_id (default: the namespace), ~map_timeout_s (s, 60: the longest wait for the service ``static_map``).
-    A private parameter with the name of a component's field replaces what the file says.
+    (path), ~robot_id (default: the namespace), ~map (path of a map_server YAML file; without it the service
+    ``static_map`` gives the map), ~map_timeout_s (s, 60: the longest wait for that service). A private parameter with
+    the name of a component's field replaces what the file says.
     """
 
     @property
@@ -46,11 +48,14 @@ class NodeFiles:
 
     @cached_property
     def grid(self) -> OccupancyGrid:
-        """The map of map_server, awaited for a bounded time.
+        """The map of the file ~map, or else of map_server, awaited for a bounded time.
 
         Raises:
-            HitchhikeError: the service gave no map in time.
+            MapFileError: the file cannot be used.
+            HitchhikeError: the service gave none.
         """
+        if is_given("map"):
+            return load_map(path_parameter("map"))
         timeout_s = convert(given("map_timeout_s", 60.0), Positive, rospy.get_name(), "~map_timeout_s")
         try:
             rospy.wait_for_service("static_map", timeout_s)

@@ -33,6 +33,7 @@ class Echo:
 
     name: ClassVar[str] = "echo"
     inputs: ClassVar[frozenset[type]] = frozenset({Odometry, NetworkText})
+    patient: ClassVar[frozenset[type]] = frozenset({Odometry})
 
     def __init__(self) -> None:
         self.takes: frozenset[type] = self.inputs
@@ -186,6 +187,26 @@ def test_it_subscribes_to_what_the_module_takes_now_and_to_no_more(ros: FakeRos)
     module.takes = Echo.inputs
     node.turn(0.0)
     assert (len(ros.subscribers["odom"]), len(ros.subscribers["/hhike_msg/network"])) == (1, 1)
+
+
+def test_what_is_patient_wakes_nobody_until_its_queue_is_half_full(ros: FakeRos) -> None:  # noqa: F811
+    module = Echo()
+    node = host(module)
+    node.turn(0.0)
+    for v in range(24):  # of 50
+        ros.send("odom", odometry(v))
+    assert not node.hurries
+    ros.send("odom", odometry(24.0))
+    assert node.hurries
+    node.turn(1.0)
+    assert not node.hurries
+    ros.send("odom", odometry(25.0))
+    assert not node.hurries
+    ros.send("/hhike_msg/network", String("a"))
+    assert node.hurries
+    module.delay_s = math.inf
+    node.turn(2.0)
+    assert [x.twist.v for x in module.heard if isinstance(x, Odometry)] == [25.0], "in its turn, and none is lost"
 
 
 def test_of_a_full_queue_the_oldest_message_is_dropped(ros: FakeRos) -> None:  # noqa: F811

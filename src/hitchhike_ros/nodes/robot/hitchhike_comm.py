@@ -39,7 +39,7 @@ from hitchhike_ros.modules.module import Outputs
 from hitchhike_ros.ros_io.awards import AwardKeeper
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.move_base import MoveBaseServer
-from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
+from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, DiagnosticsUpdater, run
 from hitchhike_ros.ros_io.node_files import NodeFiles
 from hitchhike_ros.ros_io.outlets import outlets
 
@@ -47,9 +47,9 @@ from hitchhike_ros.ros_io.outlets import outlets
 class Surroundings:
     """What hitchhike_comm has beside topics: the action server, the ledger of awards and the log."""
 
-    def __init__(self, robot_id: str) -> None:
+    def __init__(self, robot_id: str, updater: DiagnosticsUpdater) -> None:
         self._awards = AwardKeeper(robot_id)
-        self._ledger = Diagnostics("award_ledger")
+        self._ledger = Diagnostics("award_ledger", updater)
         self._move_base: MoveBaseServer | None = None
         self._say()
 
@@ -82,8 +82,10 @@ class Surroundings:
 def build() -> ModuleHost:
     """The node's host."""
     module = HitchhikeComm.build(NodeFiles())
-    surroundings = Surroundings(module.robot_id)
-    host = ModuleHost(Single(module), {module.name: outlets(module.name)}, orders=False, also=surroundings.take)
+    updater = DiagnosticsUpdater()
+    surroundings = Surroundings(module.robot_id, updater)
+    said = {module.name: outlets(module.name)}
+    host = ModuleHost(Single(module), said, orders=False, also=surroundings.take, updater=updater)
     surroundings.serve(host)
     return host
 
