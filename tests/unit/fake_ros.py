@@ -100,8 +100,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> FakeRos:
     }
     for name, replacement in replacements.items():
         monkeypatch.setattr(rospy, name, replacement)
-    monkeypatch.setattr(
-        DiagnosticsUpdater, "_repeat", lambda _self: None
-    )  # what changes is published at once all the same
+    # What changes is published at once all the same.
+    monkeypatch.setattr(DiagnosticsUpdater, "_repeat", lambda _self: None)
     monkeypatch.setattr(rospy.Time, "now", staticmethod(lambda: rospy.Time.from_sec(fake.now)))
     return fake
