@@ -243,3 +243,21 @@ def test_a_node_each_does_what_the_composed_robot_did(
     events = recording.single[name].events
     replay(host, events, ros, lambda x: between[type(x)](x) if type(x) in between else message(x))
     compare([(event.now, event.value) for event in events if event.what == "step"], said)
+
+
+def test_what_a_module_is_patient_for_does_not_make_it_due(recording: Recording) -> None:
+    patient = 0
+    for name, module in build_robot(recording.files).modules.items():
+        for event in recording.single[name].events:
+            match event.what:
+                case "step":
+                    module.step(event.now)
+                case "order":
+                    module.order(event.value, event.now)
+                case _:
+                    due = module.next_due(event.now)
+                    module.sense(event.value, event.now)
+                    if type(event.value) in module.patient:
+                        patient += 1
+                        assert module.next_due(event.now) >= due, f"{name}: {event.value}"
+    assert patient > 1000

@@ -56,6 +56,7 @@ class Fake:
 
     name: ClassVar[str] = ""
     inputs: ClassVar[frozenset[type]] = frozenset()
+    patient: ClassVar[frozenset[type]] = frozenset()
     says: list[Outputs] = field(default_factory=list)
     told: list[object] = field(default_factory=list)
     deaf: bool = False
@@ -78,6 +79,7 @@ class Fake:
 
 class Avoidance(Fake):
     inputs = frozenset({Odometry, LaserScan})
+    patient = frozenset({Odometry})
 
     def step(self, now: float) -> PoseLikeOutputs:
         return super().step(now)  # type: ignore[return-value]
@@ -85,6 +87,7 @@ class Avoidance(Fake):
 
 class Comm(Fake):
     inputs = frozenset({Odometry, NavigationReport})
+    patient = inputs
 
     def step(self, now: float) -> CommLikeOutputs:
         return super().step(now)  # type: ignore[return-value]
@@ -146,6 +149,14 @@ def test_it_listens_to_what_its_modules_take_and_none_of_them_says(fakes: dict[s
     assert robot.listens() == {Odometry, LaserScan}
     fakes["obstacle_avoidance"].deaf = True
     assert robot.listens() == {Odometry}
+
+
+def test_what_no_module_is_in_a_hurry_for_is_patient(fakes: dict[str, Fake]) -> None:
+    robot = Robot(fakes)
+    assert Odometry in robot.patient()
+    assert LaserScan not in robot.patient()
+    fakes["obstacle_avoidance"].deaf = True
+    assert LaserScan in robot.patient(), "nobody takes it now"
 
 
 def test_an_input_goes_to_those_that_take_it_now(fakes: dict[str, Fake]) -> None:
