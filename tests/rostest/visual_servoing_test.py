@@ -21,7 +21,8 @@ from std_msgs.msg import Int8, String
 from hitchhike_ros.core.datatypes import CameraInfo, Odometry, Pose2D, Twist2D
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import ModuleSwitches, ServoCommand, Status, encode_status
-from hitchhike_ros.ros_io.conversions import camera_info_to_msg, image_to_msg, odometry_to_msg
+from hitchhike_ros.ros_io.conversions import odometry_to_msg
+from hitchhike_ros.ros_io.images import camera_info_to_msg, image_to_msg
 
 CAMERA = CameraInfo(640, 480, np.array([[554.26, 0.0, 319.5], [0.0, 554.26, 239.5], [0.0, 0.0, 1.0]]))
 DEADLINE_S = 20.0

@@ -1,12 +1,10 @@
-"""Converts ROS messages to datatypes and back. Only this module knows the layout of both."""
+"""Converts ROS messages to datatypes and back; :mod:`.images` does so with those of cameras."""
 
 from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 import rospy
 from geometry_msgs.msg import (
     Point,
@@ -22,12 +20,10 @@ from nav_msgs.msg import MapMetaData, Path
 from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from rospy.numpy_msg import numpy_msg
-from sensor_msgs.msg import CameraInfo as CameraInfoMsg
-from sensor_msgs.msg import Image
 from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import Header
 
-from hitchhike_ros.core.datatypes import CameraInfo, FloatArray, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.stamps import split
 from hitchhike_ros.mapping.grid import OccupancyGrid
@@ -141,99 +137,6 @@ def scan_to_msg(scan: LaserScan, frame_id: str) -> LaserScanMsg:
         range_min=scan.range_min,
         range_max=scan.range_max,
         ranges=scan.ranges,
-    )
-
-
-def camera_info_from_msg(msg: CameraInfoMsg) -> CameraInfo:
-    distortion = np.array(msg.D, dtype=float) if len(msg.D) else np.zeros(5)
-    return CameraInfo(msg.width, msg.height, np.array(msg.K, dtype=float).reshape(3, 3), distortion)
-
-
-def camera_info_to_msg(info: CameraInfo, stamp: float, frame_id: str) -> CameraInfoMsg:
-    msg = CameraInfoMsg(header=header(stamp, frame_id), width=info.width, height=info.height)
-    msg.distortion_model = "plumb_bob"
-    msg.D, msg.K = info.D.tolist(), info.K.ravel().tolist()
-    msg.R = np.eye(3).ravel().tolist()
-    msg.P = np.hstack([info.K, np.zeros((3, 1))]).ravel().tolist()
-    return msg
-
-
-_CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
-
-
-def image_from_msg(msg: Image) -> np.ndarray:
-    """A view on the pixels, uint8 (H, W) for mono8 and (H, W, 3) for rgb8 and bgr8; no copy.
-
-    Raises:
-        SensorDataError: unknown encoding, or the data is shorter than the header says.
-    """
-    channels = _CHANNELS.get(msg.encoding)
-    if channels is None:
-        raise SensorDataError(f"image encoding {msg.encoding!r}, expected one of {', '.join(_CHANNELS)}")
-    if msg.height == 0 or msg.width == 0 or msg.step < msg.width * channels or len(msg.data) < msg.step * msg.height:
-        raise SensorDataError(
-            f"image of {len(msg.data)} bytes, expected {msg.height} rows of {msg.width} {msg.encoding}"
-        )
-    rows = np.frombuffer(msg.data, np.uint8, msg.step * msg.height).reshape(msg.height, msg.step)
-    pixels = rows[:, : msg.width * channels]
-    return pixels if channels == 1 else pixels.reshape(msg.height, msg.width, channels)
-
-
-def gray_from_msg(msg: Image) -> npt.NDArray[np.uint8]:
-    """An image as grey values, uint8 (H, W), C-contiguous; copied only where it has colours or padded rows.
-
-    Raises:
-        SensorDataError: as :func:`image_from_msg`.
-    """
-    pixels = image_from_msg(msg)
-    if pixels.ndim == 3:
-        pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY if msg.encoding == "rgb8" else cv2.COLOR_BGR2GRAY))
-    return np.ascontiguousarray(pixels)
-
-
-def rgb_from_msg(msg: Image) -> npt.NDArray[np.uint8]:
-    """An image in colours, uint8 (H, W, 3).
-
-    Raises:
-        SensorDataError: as :func:`image_from_msg`.
-    """
-    pixels = image_from_msg(msg)
-    if pixels.ndim == 2:
-        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB))
-    return pixels if msg.encoding == "rgb8" else np.ascontiguousarray(pixels[..., ::-1])
-
-
-def depth_from_msg(msg: Image) -> npt.NDArray[np.float32]:
-    """Depth (H, W) in m, NaN where there is none: of 32FC1, or of 16UC1 in mm with 0 for none (REP 118).
-
-    Raises:
-        SensorDataError: unknown encoding, or the data is shorter than the header says.
-    """
-    if msg.encoding not in ("32FC1", "16UC1"):
-        raise SensorDataError(f"depth image encoding {msg.encoding!r}, expected one of 32FC1, 16UC1")
-    dtype = np.dtype("f4" if msg.encoding == "32FC1" else "u2").newbyteorder(">" if msg.is_bigendian else "<")
-    width = msg.width * dtype.itemsize
-    if msg.height == 0 or msg.width == 0 or msg.step < width or len(msg.data) < msg.step * msg.height:
-        raise SensorDataError(
-            f"depth image of {len(msg.data)} bytes, expected {msg.height} rows of {msg.width} {msg.encoding}"
-        )
-    rows = np.frombuffer(msg.data, np.uint8, msg.step * msg.height).reshape(msg.height, msg.step)
-    values = np.ascontiguousarray(rows[:, :width]).view(dtype)
-    if msg.encoding == "32FC1":
-        return values.astype(np.float32)
-    return np.where(values == 0, np.float32(np.nan), values.astype(np.float32) / np.float32(1000.0))
-
-
-def image_to_msg(image: np.ndarray, stamp: float, frame_id: str, encoding: str) -> Image:
-    """An image (H, W[, C]) uint8, or (H, W) float32 with encoding 32FC1."""
-    contiguous = np.ascontiguousarray(image)
-    return Image(
-        header=header(stamp, frame_id),
-        height=image.shape[0],
-        width=image.shape[1],
-        encoding=encoding,
-        step=contiguous.strides[0],
-        data=contiguous.tobytes(),
     )
 
 

@@ -19,12 +19,12 @@ from typing import Any, Protocol, TypeVar
 import rospy
 from geometry_msgs.msg import Twist
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 
 from hitchhike_ros.core.errors import MessageError, SensorDataError
 from hitchhike_ros.modules.module import Level, Module, Order, Outputs, Refused
 from hitchhike_ros.protocol.status import Status
-from hitchhike_ros.ros_io.inlets import INLETS, Inlet
+from hitchhike_ros.ros_io.inlets import Inlet, inlet_of
 from hitchhike_ros.ros_io.node import Diagnostics, DiagnosticsUpdater, LockstepAnswer
 from hitchhike_ros.ros_io.outlets import Outlet
 from hitchhike_ros.ros_io.parameters import resolve
@@ -270,7 +270,7 @@ class ModuleHost:
         for what in self._subscribers.keys() - wanted:
             self._subscribers.pop(what).unregister()
         for what in wanted - self._subscribers.keys():
-            inlet = INLETS[what]
+            inlet = inlet_of(what)
             self._subscribers[what] = rospy.Subscriber(
                 resolve(inlet.topic),
                 inlet.cls,
@@ -330,4 +330,4 @@ def _answer(future: Future[Any], function: Callable[[], Any]) -> None:
 def _buffer_of(cls: type) -> int:
     """How many bytes rospy reads from a socket at once. With fewer than an image has, images wait there and grow old.
     rospy allocates all of them for each message, so other topics get fewer."""
-    return 1 << 22 if cls is Image else 1 << 16
+    return 1 << 22 if cls in (CompressedImage, Image) else 1 << 16

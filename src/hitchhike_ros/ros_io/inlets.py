@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import msgspec
+import rospy
 from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     Twist,
@@ -20,11 +21,11 @@ from nav_msgs.msg import OccupancyGrid as OccupancyGridMsg
 from nav_msgs.msg import Odometry as OdometryMsg
 from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
-from sensor_msgs.msg import Image, Joy
+from sensor_msgs.msg import CompressedImage, Image, Joy
 from std_msgs.msg import Bool, String
 
 from hitchhike_ros.core.datatypes import CameraInfo, LaserScan, Odometry, PoseEstimate
-from hitchhike_ros.core.errors import MessageError, SensorDataError
+from hitchhike_ros.core.errors import MessageError, ParameterError, SensorDataError
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.modules.inputs import (
     CameraImage,
@@ -48,18 +49,23 @@ from hitchhike_ros.protocol.observations import Observations, decode_observation
 from hitchhike_ros.protocol.status import Status, decode_status
 from hitchhike_ros.ros_io.conversions import (
     LaserScanArrayMsg,
-    camera_info_from_msg,
-    depth_from_msg,
     estimate_from_msg,
-    gray_from_msg,
     grid_from_msg,
     odometry_from_msg,
     path_from_msg,
     pose_from_msg,
-    rgb_from_msg,
     scan_from_msg,
     twist_from_msg,
 )
+from hitchhike_ros.ros_io.images import (
+    camera_info_from_msg,
+    depth_from_msg,
+    gray_from_compressed,
+    gray_from_msg,
+    rgb_from_compressed,
+    rgb_from_msg,
+)
+from hitchhike_ros.ros_io.parameters import given
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +136,15 @@ def _camera_image(msg: Image) -> CameraImage:
     )
 
 
+def _compressed_image(msg: CompressedImage) -> CameraImage:
+    return CameraImage(
+        msg.header.stamp.to_sec(),
+        partial(gray_from_compressed, msg),
+        partial(rgb_from_compressed, msg),
+        msg.header.frame_id,
+    )
+
+
 def _depth_image(msg: Image) -> DepthImage:
     return DepthImage(msg.header.stamp.to_sec(), partial(depth_from_msg, msg))
 
@@ -175,3 +190,22 @@ INLETS: dict[type, Inlet] = {
         Inlet(NetworkText, "~network_in", String, _heard, queue_size=200),
     )
 }
+
+
+def inlet_of(what: type) -> Inlet:
+    """The row of an input; of images the one that ``~image_transport`` names, ``raw`` or ``compressed``.
+
+    Raises:
+        ParameterError: there is no such transport.
+    """
+    inlet = INLETS[what]
+    if what is not CameraImage:
+        return inlet
+    transport = given("image_transport", "raw")
+    if transport == "compressed":
+        # As image_transport has it: the topic of the images is remapped, and its compressed one lies below it.
+        topic = f"{rospy.resolve_name(inlet.topic)}/compressed"
+        return Inlet(CameraImage, topic, CompressedImage, _compressed_image)
+    if transport != "raw":
+        raise ParameterError(rospy.get_name(), "~image_transport", transport, "raw or compressed")
+    return inlet

@@ -47,7 +47,6 @@ from hitchhike_ros.ros_io.conversions import (
     estimate_to_msg,
     grid_to_msg,
     header,
-    image_to_msg,
     map_info,
     path_to_msg,
     pose_to_msg,
@@ -55,6 +54,7 @@ from hitchhike_ros.ros_io.conversions import (
     quaternion_from_yaw,
     twist_to_msg,
 )
+from hitchhike_ros.ros_io.images import image_to_msg
 from hitchhike_ros.ros_io.markers import voxel_markers
 from hitchhike_ros.ros_io.parameters import frame
 

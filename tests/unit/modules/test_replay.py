@@ -28,14 +28,9 @@ from hitchhike_ros.modules.module import Module, Outputs
 from hitchhike_ros.modules.robot import ORDER_OF_STEPS, WIRES, Robot, kinds
 from hitchhike_ros.modules.robot import build as build_robot
 from hitchhike_ros.protocol.phase import Phase
-from hitchhike_ros.ros_io.conversions import (
-    camera_info_to_msg,
-    estimate_to_msg,
-    image_to_msg,
-    odometry_to_msg,
-    scan_to_msg,
-)
+from hitchhike_ros.ros_io.conversions import estimate_to_msg, odometry_to_msg, scan_to_msg
 from hitchhike_ros.ros_io.host import ModuleHost, Single
+from hitchhike_ros.ros_io.images import camera_info_to_msg, image_to_msg
 from hitchhike_ros.ros_io.inlets import INLETS
 from hitchhike_ros.ros_io.outlets import outlets
 from hitchhike_ros.simulation.composed import ComposedRide

@@ -27,7 +27,8 @@ from hitchhike_ros.modules.inputs import (
     TeleopCommand,
 )
 from hitchhike_ros.protocol.events import NavigationReport
-from hitchhike_ros.ros_io.conversions import camera_info_to_msg, grid_to_msg, image_to_msg
+from hitchhike_ros.ros_io.conversions import grid_to_msg
+from hitchhike_ros.ros_io.images import camera_info_to_msg, image_to_msg
 from hitchhike_ros.ros_io.inlets import INLETS
 from hitchhike_ros.ros_io.outlets import OBSTACLE_AVOIDANCE, PATH_PLANNING, TELEOP, Outlet
 

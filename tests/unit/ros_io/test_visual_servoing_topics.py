@@ -14,8 +14,9 @@ from flat_world import TURTLEBOT
 from hitchhike_ros.modules.visual_servoing import View, VisualServoing, VisualServoingParameters
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import ModuleSwitches, ServoCommand, Status, encode_status
-from hitchhike_ros.ros_io.conversions import camera_info_to_msg, header, image_to_msg
+from hitchhike_ros.ros_io.conversions import header
 from hitchhike_ros.ros_io.host import ModuleHost, Single
+from hitchhike_ros.ros_io.images import camera_info_to_msg, image_to_msg
 from hitchhike_ros.ros_io.outlets import visual_servoing_outlets
 from hitchhike_ros.servoing.follow import FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
@@ -87,7 +88,7 @@ def test_a_camera_that_names_no_frame_has_that_of_the_model(ros: FakeRos) -> Non
 
 def test_of_an_image_that_is_none_there_is_neither_a_pose_nor_a_picture(ros: FakeRos) -> None:  # noqa: F811
     host, image = node(ros), picture()
-    image.encoding = "bayer_grbg8"
+    image.encoding = "nv21"
     ros.send("camera/image_raw", image)
     host.turn(0.3)
     assert [msg.data for msg in ros.published[OWN + "status"]] == [View.NO_IMAGE]

@@ -12,8 +12,9 @@ Alone it stands in for visp_auto_tracker and apriltag_ros, with one marker of an
 Subscribed:
     hhike_msg/status (std_msgs/String): whether the module is on, and which marker to follow or observe. To follow has
         to be said again and again: the robot stands when that is 3.5 s old
-    camera/image_raw (sensor_msgs/Image: mono8, rgb8 or bgr8), camera/camera_info (sensor_msgs/CameraInfo, plumb_bob),
-    odom (nav_msgs/Odometry): only while the module is on
+    camera/image_raw (sensor_msgs/Image: grey, colours, YUV 4:2:2 or Bayer, of 8 or 16 bits), or
+        camera/image_raw/compressed (sensor_msgs/CompressedImage); camera/camera_info (sensor_msgs/CameraInfo: plumb_bob
+        or rational_polynomial; images may be binned or cut out); odom (nav_msgs/Odometry): only while the module is on
     scan (sensor_msgs/LaserScan): only while the task is to follow, with a config and a URDF that has a laser: what
         comes between is braked for
 Published, once an image, or every other one while it follows steadily:
@@ -34,6 +35,7 @@ Parameters:
         parameter with the name of one of theirs replaces it, e.g. ~family (36h11; 25h9, 16h5, circle21h7 or qr) or
         ~steady_period_s (s, 0.19). With a marker that cannot be, of size 0 or of an unknown family, the node sees
         nothing and /diagnostics says why
+    ~image_transport (string, raw): raw or compressed
     ~urdf (path): mount of the camera (link camera_optical); without it the camera is taken for the robot's base
     ~always_on (bool, false): on without anyone's status; then also
     ~marker_id (int, -1): the marker, -1 for whichever is nearest; ~code_message (string): instead, what its QR code

@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image
 
 from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.experiments.report.ride_frames import FOLDER, KeptFrameParameters, frame_name
-from hitchhike_ros.ros_io.conversions import image_from_msg
+from hitchhike_ros.ros_io.images import rgb_from_msg
 
 
 class CameraFrames:
@@ -63,9 +63,7 @@ class CameraFrames:
             self._image = self._image or msg  # the first
 
     def _write(self, msg: Image) -> None:
-        picture = image_from_msg(msg)
-        if msg.encoding == "rgb8":
-            picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+        picture = cv2.cvtColor(rgb_from_msg(msg), cv2.COLOR_RGB2BGR)
         small = cv2.resize(picture, self._params.size(picture.shape), interpolation=cv2.INTER_AREA)
         self._folder.mkdir(exist_ok=True)
         path = self._folder / frame_name(msg.header.stamp.to_sec(), self._robot, self._state)

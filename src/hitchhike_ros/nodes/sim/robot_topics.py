@@ -18,15 +18,14 @@ from hitchhike_ros.core.datatypes import Odometry, Twist2D
 from hitchhike_ros.core.errors import MessageError
 from hitchhike_ros.protocol.status import decode_status
 from hitchhike_ros.ros_io.conversions import (
-    camera_info_to_msg,
     header,
-    image_to_msg,
     odometry_to_msg,
     quaternion_from_yaw,
     scan_to_msg,
     transform_from_matrix,
     twist_from_msg,
 )
+from hitchhike_ros.ros_io.images import camera_info_to_msg, image_to_msg
 from hitchhike_ros.ros_io.node import Diagnostics
 from hitchhike_ros.simulation.frames import Gate
 from hitchhike_ros.simulation.physics.robot import SimulatedRobot
