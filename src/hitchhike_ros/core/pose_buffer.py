@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import msgspec
 
 from hitchhike_ros.core.datatypes import Odometry, Pose2D, Positive, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
@@ -19,13 +22,38 @@ class PoseBufferParameters:
     max_extrapolation_s: Positive = 0.2  # odometry and scan of one moment may arrive in either order
     max_speed_mps: Positive = 3.0  # a pose that moves faster has jumped
     max_yaw_rate_rps: Positive = 10.0
+    still_mps: Positive = 0.02  # a pose that is no faster than this,
+    still_rps: Positive = 0.02  # and turns no faster, stands
+    twistless_readings: Annotated[int, msgspec.Meta(ge=1)] = 3
+    """After so many readings on end without a speed, of a pose that moves, the speed is taken from the poses."""
+
+
+class _MissingSpeed:
+    """Whether a driver leaves one component of the twist at 0 while the pose moves; some fill in the pose alone."""
+
+    def __init__(self, still: float, readings: int) -> None:
+        self._still, self._readings, self._count = still, readings, 0
+
+    @property
+    def known(self) -> bool:
+        """Whether it is so."""
+        return self._count >= self._readings
+
+    def of(self, told: float, moved: float) -> float:
+        """The speed to believe of a reading that tells ``told``, where the pose has moved at ``moved``."""
+        if told != 0.0:
+            self._count = 0
+        elif not self.known:
+            self._count = self._count + 1 if abs(moved) > self._still else 0
+        return moved if self.known else told
 
 
 class PoseBuffer:
     """Checks readings as they come, keeps those of the last moments and tells the pose between and just beyond them.
 
     Between two readings the pose moves at a constant velocity in the robot's frame (:func:`core.geometry.interpolate`);
-    beyond the newest it moves on at that one's twist. All readings are in one frame, ``odom`` as a rule.
+    beyond the newest it moves on at that one's twist. All readings are in one frame, ``odom`` as a rule. Where a driver
+    tells no twist, readings are kept with that of their poses.
 
     >>> buffer = PoseBuffer()
     >>> buffer.add(Odometry(1.0, Pose2D(0.0), Twist2D(0.5)))
@@ -42,6 +70,8 @@ class PoseBuffer:
     def __init__(self, parameters: PoseBufferParameters | None = None) -> None:
         self._parameters = parameters or PoseBufferParameters()
         self._readings: deque[Odometry] = deque()
+        p = self._parameters
+        self._missing = tuple(_MissingSpeed(still, p.twistless_readings) for still in (p.still_mps, p.still_rps))
 
     def __bool__(self) -> bool:
         """Whether there is any reading."""
@@ -56,6 +86,11 @@ class PoseBuffer:
     def newest(self) -> Odometry:
         """The last reading; IndexError where there is none."""
         return self._readings[-1]
+
+    @property
+    def twistless(self) -> bool:
+        """Whether the driver leaves out the speed or the yaw rate, so that it is derived from the poses."""
+        return any(missing.known for missing in self._missing)
 
     def clear(self) -> None:
         """Forget all readings."""
@@ -80,15 +115,18 @@ class PoseBuffer:
         problem = None if before is None else self._jump(before, reading)
         if problem is not None:
             self._readings.clear()
+        if before is None or problem is not None:
+            moved = None
+        else:
+            dt_s = reading.stamp - before.stamp
+            moved = twist_between(before.pose, reading.pose, dt_s), dt_s
+            reading = replace(reading, twist=self._believed(reading.twist, moved[0]))
         self._readings.append(reading)
         while self._readings[0].stamp < reading.stamp - p.history_s:
             self._readings.popleft()
         if problem is not None:
             raise SensorDataError(problem)
-        if before is None:
-            return None
-        dt_s = reading.stamp - before.stamp
-        return twist_between(before.pose, reading.pose, dt_s), dt_s
+        return moved
 
     def covers(self, stamp: float) -> bool:
         """Whether :meth:`at` knows the pose at ``stamp``."""
@@ -124,6 +162,10 @@ class PoseBuffer:
     def motion(self, since: float, until: float, what: str = "time asked for") -> Pose2D:
         """T_since_until: the pose at ``until`` seen from the pose at ``since``; raises as :meth:`at`."""
         return between(self.at(since, what), self.at(until, what))
+
+    def _believed(self, told: Twist2D, moved: Twist2D) -> Twist2D:
+        v, omega = self._missing
+        return Twist2D(v.of(told.v, moved.v), omega.of(told.omega, moved.omega))
 
     def _jump(self, before: Odometry, reading: Odometry) -> str | None:
         """What is wrong with a reading after the one ``before``; None where it follows from it."""

@@ -107,6 +107,11 @@ class Localizer(ABC):
         self._start_anew()
         self._begin(pose, covariance)
 
+    @property
+    def twist(self) -> Twist2D:
+        """Of the newest odometry; IndexError where there is none."""
+        return self._odometry.newest.twist
+
     def predict(self, odometry: Odometry) -> None:
         """Move by the difference to the odometry before. A robot that stands keeps its estimate (P18 Eq. 10).
 

@@ -217,8 +217,11 @@ class HitchhikeComm:
 
     def _take_odometry(self, odometry: Odometry) -> None:
         try:
+            knew = self._odometry.twistless
             self._odometry.add(odometry)
-            self._speed_mps = odometry.twist.v
+            self._speed_mps = self._odometry.newest.twist.v
+            if self._odometry.twistless and not knew:
+                self._warnings.append("odom: no twist in it though the pose moves; it is derived from the poses")
         except SensorDataError:
             self._lose_odometry()
 

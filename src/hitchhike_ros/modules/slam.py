@@ -293,7 +293,8 @@ class Slam:
             self._refuse(Odometry, str(exc))
             return
         self._odometry_problem = ""
-        self._stands = max(abs(odometry.twist.v), abs(odometry.twist.omega)) <= _STANDS
+        twist = self._localizer.twist
+        self._stands = max(abs(twist.v), abs(twist.omega)) <= _STANDS
         self._settled = self._settled and self._stands
 
     def _see(self, observations: Observations) -> None:

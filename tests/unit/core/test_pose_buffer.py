@@ -158,3 +158,50 @@ def test_beyond_its_ends_the_pose_moves_on_at_their_twists() -> None:
     assert buffer.at(0.9) == Pose2D(pytest.approx(-0.1))  # type: ignore[arg-type]
     assert buffer.at(2.0) == Pose2D(0.5)
     assert_same_pose(buffer.at(2.1), move(Pose2D(0.5), Twist2D(0.2, 0.3), 0.1))
+
+
+MOVES = Twist2D(0.5, 0.4)
+
+
+def twists(told: list[Twist2D], dt_s: float = 0.1, moves: Twist2D = MOVES) -> list[Twist2D]:
+    """What is kept of readings that tell ``told`` while the robot moves at ``moves``."""
+    buffer, pose, kept = PoseBuffer(), Pose2D(), []
+    for k, twist in enumerate(told):
+        buffer.add(Odometry(k * dt_s, pose, twist))
+        kept.append(buffer.newest.twist)
+        pose = move(pose, moves, dt_s)
+    return kept
+
+
+@pytest.mark.parametrize(
+    "told", [Twist2D(), Twist2D(0.5, 0.0), Twist2D(0.0, 0.4)], ids=["no twist", "no yaw rate", "no speed"]
+)
+@pytest.mark.parametrize("dt_s", [0.02, 0.1])
+def test_a_twist_that_a_driver_leaves_out_is_that_of_the_poses(told: Twist2D, dt_s: float) -> None:
+    kept = twists([told] * 8, dt_s)
+    assert kept[:3] == [told] * 3, "a robot that stops tells 0 once while its pose has moved"
+    for twist in kept[3:]:
+        assert (twist.v, twist.omega) == pytest.approx((0.5, 0.4), rel=1e-3)
+
+
+def test_a_robot_that_stops_is_believed() -> None:
+    moving, stopped = Twist2D(0.5, 0.0), Twist2D()
+    told = [moving, moving, stopped, moving, stopped, stopped, moving]
+    assert twists(told, moves=moving) == told
+
+
+def test_poses_that_hardly_move_are_of_a_robot_that_stands() -> None:
+    assert twists([Twist2D()] * 20, moves=Twist2D(0.015, -0.015)) == [Twist2D()] * 20
+
+
+def test_a_driver_that_tells_a_twist_after_all_is_believed_again() -> None:
+    buffer = PoseBuffer()
+    for k in range(6):
+        buffer.add(Odometry(0.1 * k, Pose2D(0.05 * k), Twist2D()))
+    assert buffer.twistless
+    buffer.clear()
+    assert buffer.twistless, "it is about the driver, not about its readings"
+    buffer.add(Odometry(1.0, Pose2D(), Twist2D()))
+    buffer.add(Odometry(1.1, Pose2D(0.05), Twist2D(0.4, 0.0)))
+    assert not buffer.twistless
+    assert buffer.newest.twist == Twist2D(0.4, 0.0)

@@ -216,6 +216,16 @@ def test_odometry_that_cannot_be_read_means_that_the_speed_is_unknown() -> None:
     assert module._situation(10.1).odom_pose is None
 
 
+def test_a_driver_that_tells_no_twist_is_named_once_and_the_speed_is_that_of_its_poses() -> None:
+    module = placed(10.0)
+    warnings: list[str] = []
+    for k in range(8):
+        module.sense(Odometry(10.0 + 0.1 * k, Pose2D(0.04 * k), Twist2D()), 10.0 + 0.1 * k)
+        warnings += module.step(10.0 + 0.1 * k).warnings
+    assert warnings == ["odom: no twist in it though the pose moves; it is derived from the poses"]
+    assert module._situation(10.7).speed_mps == pytest.approx(0.4)
+
+
 def test_without_a_map_its_health_says_so() -> None:
     assert comm().step(1.0).health.level is Level.ERROR
     assert placed().step(11.0).health.level is Level.OK

@@ -65,6 +65,10 @@ class Filter:
     def estimate(self) -> PoseEstimate:
         return self.estimate_at(self.odometry[-1].stamp if self.odometry else 0.0)
 
+    @property
+    def twist(self) -> Twist2D:
+        return self.odometry[-1].twist
+
     def restart(self) -> None:
         self.calls.append("restart")
         self.start, self.odometry, self.explained = None, [], None
