@@ -7,7 +7,16 @@ from collections import Counter, deque
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Obstacle, Odometry, Pose2D, PoseEstimate, Positive
+from hitchhike_ros.core.datatypes import (
+    FloatArray,
+    LaserScan,
+    NonNegative,
+    Obstacle,
+    Odometry,
+    Pose2D,
+    PoseEstimate,
+    Positive,
+)
 from hitchhike_ros.core.errors import HitchhikeError, SensorDataError, StaleInputError
 from hitchhike_ros.core.geometry import compose, inverse, pose_from_matrix
 from hitchhike_ros.localization.ekf import check_gaussian
@@ -45,6 +54,9 @@ class SlamParameters:
     """and says it anew so often."""
     map_period_s: Positive = 1.0
     """The map is large and boxes grow with every scan: changes are told no more often."""
+    transform_tolerance_s: NonNegative = 0.1
+    """``T_map_odom`` is told for each scan, and holds for so long after it was taken, as of amcl: a pose of the moment
+    of a scan can be looked up as soon as the next scan is there, also while the robot stands."""
     repeat_period_s: Positive = 0.5
     """While localization is off, the last ``T_map_odom`` is told so often,"""
     repeat_holds_s: Positive = 1.0
@@ -232,6 +244,8 @@ class Slam:
             case LaserScan() if self._on:
                 self._scanned_at, said["answered"] = now, x.stamp
                 self._work_on(x, now, said)
+                if self._T_map_odom is not None:
+                    said["T_map_odom"] = x.stamp + self._params.transform_tolerance_s, self._T_map_odom
             case Refused() if self._on or x.what in _ALWAYS:
                 if x.what is LaserScan:
                     self._scanned_at, said["answered"] = now, x.stamp
@@ -258,7 +272,7 @@ class Slam:
         if not on:
             if self._localizer.initialised:
                 self._known = self._localizer.estimate
-            self._repeated_at = now
+            self._repeated_at = -math.inf  # what was told with the last scan holds no longer
             self._say(Level.OK, "off")
             return
         # Odometry from before the pause says nothing about the way since: the filter starts anew.
@@ -337,7 +351,7 @@ class Slam:
     def _tell_pose(self, estimate: PoseEstimate, said: dict[str, Any]) -> None:
         self._T_map_odom = compose(estimate.pose, inverse(self._localizer.odometry_at(estimate.stamp)))
         self._told_at = estimate.stamp
-        said["pose"], said["T_map_odom"] = estimate, (estimate.stamp, self._T_map_odom)
+        said["pose"] = estimate
         if isinstance(self._localizer, ParticleLocalizer):
             said["particles"] = self._localizer.particles
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,9 @@ from std_msgs.msg import Header
 from hitchhike_ros.core.errors import HitchhikeError
 from hitchhike_ros.ros_io.conversions import to_stamp
 
+# For so long, in wall time, nobody says that simulated time does not begin (chosen: a simulator has to start).
+_CLOCK_TIMEOUT_S = 5.0
+_NO_CLOCK = "/clock: nothing for 5 s though use_sim_time is true, expected a simulator or a bag; nothing is done before"
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -63,6 +67,8 @@ class DiagnosticsUpdater(diagnostic_updater.Updater):
 
     def __init__(self) -> None:
         super().__init__()
+        self._clockless_since: float | None = None
+        self._clockless = False
         self.setHardwareID(rospy.get_name())
         threading.Thread(target=self._repeat, name="diagnostics", daemon=True).start()
 
@@ -72,12 +78,27 @@ class DiagnosticsUpdater(diagnostic_updater.Updater):
         robot = rospy.get_namespace().strip("/")
         for status in statuses:
             status.name = f"{robot}: {status.name}"
+            if self._clockless:
+                status.level, status.message = WARN, _NO_CLOCK
         self.publisher.publish(DiagnosticArray(Header(stamp=rospy.Time.now()), statuses))
 
     def _repeat(self) -> None:
         while not rospy.is_shutdown():
+            self.watch_clock(time.monotonic())
             self.force_update()
             rospy.rostime.wallsleep(1.0)
+
+    def watch_clock(self, wall_s: float) -> None:
+        """Notice at ``wall_s``, in s of wall time, that simulated time does not begin, or that it has begun."""
+        waits = not rospy.rostime.is_wallclock() and rospy.get_time() == 0.0
+        if not waits:
+            self._clockless_since, self._clockless = None, False
+            return
+        if self._clockless_since is None:
+            self._clockless_since = wall_s
+        if not self._clockless and wall_s - self._clockless_since >= _CLOCK_TIMEOUT_S:
+            self._clockless = True
+            rospy.logwarn("%s", _NO_CLOCK)
 
 
 class Diagnostics:

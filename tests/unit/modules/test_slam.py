@@ -346,7 +346,7 @@ def test_a_scan_gives_a_pose_and_where_odometry_began() -> None:
     assert outputs.pose is not None
     assert outputs.pose.stamp == 1.05
     stamp, T_map_odom = outputs.T_map_odom  # type: ignore[misc]
-    assert stamp == 1.05
+    assert stamp == 1.05 + PARAMS.transform_tolerance_s
     error = between(START.pose, T_map_odom)
     assert max(abs(error.x), abs(error.y), abs(error.theta)) < 1e-12
     assert (outputs.health.level, outputs.health.reason) == (Level.OK, "localizing")
@@ -485,7 +485,9 @@ def test_of_a_robot_that_rests_a_scan_is_worked_on_once_in_a_while_and_all_are_a
     assert [outputs.answered for outputs in said] == TENTHS
     assert [outputs.pose.stamp for outputs in said if outputs.pose is not None] == [0.1, 0.9, 1.7, 2.5]
     assert {outputs.health.reason for outputs in said} == {"localizing"}
-    assert all((outputs.pose is None) == (outputs.T_map_odom is None) for outputs in said)
+    assert [outputs.T_map_odom[0] for outputs in said] == [  # type: ignore[index]
+        stamp + PARAMS.transform_tolerance_s for stamp in TENTHS
+    ]
 
 
 def test_while_it_rests_no_box_is_looked_for() -> None:
@@ -584,6 +586,7 @@ def test_off_the_last_transform_is_repeated_and_holds_until_it_is_repeated_again
     rig.odometry(1.0, pose=Pose2D(0.25))
     T_map_odom = rig.scan(1.0).T_map_odom[1]  # type: ignore[index]
     rig.order(status(OFF), 2.0)
+    assert rig.drain(2.0).T_map_odom == (2.0 + PARAMS.repeat_holds_s, T_map_odom), "without a gap"
     now = 2.0
     for _ in range(3):
         due = rig.slam.next_due(now)

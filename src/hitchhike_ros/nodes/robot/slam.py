@@ -30,8 +30,8 @@ Parameters:
     ~initial_cov_xx, ~initial_cov_yy (m², 0.25), ~initial_cov_aa (rad², 0.0685): its covariance, as of amcl
     ~always_on (bool, false): both modules on without anyone's status
     ~map_timeout_s (s of wall time, 60): how long static_map is awaited
-TF: map -> odom, for each pose. While localization is off the last one is repeated, valid until it is repeated again:
-    who looks on sees the robot go on by its wheels.
+TF: map -> odom, for each scan, valid for ~transform_tolerance_s (s, 0.1) after it as of amcl. While localization is off
+    the last one is repeated, valid until it is repeated again: who looks on sees the robot go on by its wheels.
 """
 
 from __future__ import annotations
