@@ -36,6 +36,7 @@ from hitchhike_ros.modules.module import Health, Level, Order, Orders, Outputs, 
 from hitchhike_ros.modules.robot_files import RobotFiles
 from hitchhike_ros.protocol.observations import Observations
 from hitchhike_ros.protocol.status import ANY_MARKER, ModuleSwitches, ServoCommand, Status
+from hitchhike_ros.servoing.driver_estimate import USUAL_MARKER
 from hitchhike_ros.servoing.follow import FollowDecision, FollowLaw
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
 from hitchhike_ros.servoing.marker_detector import (
@@ -189,7 +190,8 @@ class VisualServoing:
         law, limiter = None, None
         if follows:
             limits = files.load(RobotLimits, "robot")
-            law = FollowLaw(files.load(FollowParameters, "follow"), limits, camera_x_m=float(T_base_camera[0, 3]))
+            x, y, yaw = float(T_base_camera[0, 3]), float(T_base_camera[1, 3]), _looks_to(T_base_camera)
+            law = FollowLaw(files.load(FollowParameters, "follow"), limits, x, y, yaw)
             if files.has("laser"):
                 limiter = SafetyLimiter(limits, pose_from_matrix(files.mount("laser")))
         params = files.load(VisualServoingParameters, "visual_servoing")
@@ -378,7 +380,8 @@ class VisualServoing:
             return None, "", self._say(bad if problem else Level.OK, problem or "observing")
         if self._law is None:
             return None, "", self._say(Level.ERROR, "cannot follow: no ~config with a section robot")
-        decision = self._law.step(now, seen, None, servo.gap_m, servo.feed_forward_mps)
+        mount = USUAL_MARKER if servo.marker_pose is None else servo.marker_pose
+        decision = self._law.step(now, seen, None, servo.gap_m, servo.feed_forward_mps, servo.feed_forward_at, mount)
         problem = problem or self._odometry_problem or self._order_problem(now)
         if problem:
             decision = FollowDecision(Twist2D(), "stopped", problem)
@@ -402,6 +405,11 @@ class VisualServoing:
 
     def _say(self, level: Level, reason: str, **values: object) -> Health:
         return Health(level, reason, {**self._counters, **values})
+
+
+def _looks_to(T_base_camera: FloatArray) -> float:
+    """Heading in rad of a camera's z axis in the plane."""
+    return math.atan2(T_base_camera[1, 2], T_base_camera[0, 2])
 
 
 def _is_steady(decision: FollowDecision, gap_m: float) -> bool:

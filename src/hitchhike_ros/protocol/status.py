@@ -55,13 +55,20 @@ ANY_MARKER = -1
 
 @dataclass(frozen=True)
 class ServoCommand:
-    """What the camera is for: ``follow`` drives behind the marker, ``observe`` only reports markers."""
+    """What the camera is for: ``follow`` drives behind the marker, ``observe`` only reports markers.
+
+    ``marker_pose`` is where the marker is mounted on the driver, in its ``base_footprint``, where it has said so. The
+    driver told the speed ``feed_forward_mps`` at ``feed_forward_at`` in s, on this robot's clock. That the same speed
+    was told again makes no new order: it stands in the next status.
+    """
 
     task: str
     marker_id: int
     marker_size_m: Positive = 0.16
     gap_m: Positive = 0.8
     feed_forward_mps: float = 0.0
+    feed_forward_at: float | None = field(default=None, compare=False)
+    marker_pose: Pose2D | None = None
 
 
 @dataclass(frozen=True)

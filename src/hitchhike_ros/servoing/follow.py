@@ -20,7 +20,7 @@ from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.geometry import compose, wrap_angle
 from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits
-from hitchhike_ros.servoing.driver_estimate import DriverEstimate
+from hitchhike_ros.servoing.driver_estimate import USUAL_MARKER, DriverEstimate
 from hitchhike_ros.servoing.driver_search import Departure, DriverSearch
 from hitchhike_ros.servoing.driver_trail import DriverTrail
 from hitchhike_ros.servoing.follow_parameters import FollowParameters
@@ -28,6 +28,9 @@ from hitchhike_ros.servoing.servo_laws import LawInput, Target, make_law, satura
 
 # A follower farther than this from the trail of a driver that it lost does not go back to it (chosen).
 STRAY_M = 0.5
+# The least share of the own turning that counts for the bearing: with a camera behind the axle, near the marker, it
+# would be none (chosen).
+_LEAST_LEVER = 0.2
 
 State = Literal["searching", "following", "coasting", "looking", "turning", "lost", "stopped"]
 
@@ -46,12 +49,20 @@ class FollowDecision:
 class FollowLaw:
     """Follows one marker.
 
-    ``camera_x_m`` is how far the camera is ahead of the own axle. The gap is the horizontal distance from camera to
-    marker.
+    The camera is ``camera_x_m`` ahead of the own axle and ``camera_y_m`` to the left, and looks ``camera_yaw_rad`` to
+    the left of ahead. The gap is the horizontal distance from camera to marker.
     """
 
-    def __init__(self, params: FollowParameters, limits: RobotLimits, camera_x_m: float) -> None:
-        self._params, self._limits, self._camera_x = params, limits, camera_x_m
+    def __init__(
+        self,
+        params: FollowParameters,
+        limits: RobotLimits,
+        camera_x_m: float,
+        camera_y_m: float = 0.0,
+        camera_yaw_rad: float = 0.0,
+    ) -> None:
+        self._params, self._limits = params, limits
+        self._camera = Pose2D(camera_x_m, camera_y_m, camera_yaw_rad)
         self._law = make_law(params, limits)
         self._max_omega = min(params.max_yaw_rate_rps, limits.max_yaw_rate_rps)
         self._odometry = PoseBuffer()
@@ -83,6 +94,8 @@ class FollowLaw:
         odometry: Odometry | None,
         gap_m: float,
         feed_forward_mps: float = 0.0,
+        told_at: float | None = None,
+        T_driver_marker: Pose2D = USUAL_MARKER,
     ) -> FollowDecision:
         """The command at time ``now``.
 
@@ -92,7 +105,9 @@ class FollowLaw:
                 not in it, or there is no new image.
             odometry: the newest reading; None when :meth:`add_odometry` has it.
             gap_m: the gap to keep.
-            feed_forward_mps: the speed that the driver tells, 0 when it tells none.
+            feed_forward_mps: the speed that the driver has told last; without ``told_at``, 0 is none.
+            told_at: when it did, on the clock of the stamps. It counts once.
+            T_driver_marker: where the marker is mounted, in the driver's ``base_footprint``.
 
         Raises:
             SensorDataError: as :meth:`add_odometry`.
@@ -101,7 +116,8 @@ class FollowLaw:
         if odometry is not None:
             self.add_odometry(odometry)
         if observation is not None:
-            self._see(observation, feed_forward_mps)
+            self._see(observation, T_driver_marker)
+            self._hear(feed_forward_mps, told_at)
         age = now - self._odometry.newest.stamp if self._odometry else math.inf
         if not age <= p.odometry_timeout_s:
             return FollowDecision(
@@ -111,18 +127,18 @@ class FollowLaw:
         if driver is None:
             return self._seek_driver(now)
         if now - driver.stamp > p.lost_timeout_s:
-            return self._search_driver(now, driver)
+            return self._search_driver(now, driver, T_driver_marker)
         return self._follow(now, driver, gap_m)
 
     def _follow(self, now: float, driver: DriverEstimate, gap_m: float) -> FollowDecision:
-        own = self._odometry.newest.pose
+        own = self._odometry.get(now)
+        if own is None:  # beyond its reach both are taken as when it was new
+            own, now = self._odometry.newest.pose, self._odometry.newest.stamp
         target = self._target(now, own, driver)
         v, omega = self._law.velocities(LawInput(own, self._trail, target, driver.speed), gap_m)
-        # Bearing's rate is drift - omega.
-        across = wrap_angle(driver.heading - own.theta) - target.bearing
-        drift = (driver.speed * math.sin(across) + v * math.sin(target.bearing)) / max(target.gap, 0.1)
-        omega = self._keep_in_view(omega, target.bearing, drift)
-        twist = saturate(v, omega, self._limits.max_speed_mps, self._max_omega)
+        wanted = saturate(v, omega, self._limits.max_speed_mps, self._max_omega)
+        omega = self._keep_in_view(wanted, target)
+        twist = saturate(wanted.v, omega, self._limits.max_speed_mps, self._max_omega)
         return FollowDecision(twist, "following", "", target.gap, target.bearing)
 
     def _seek_driver(self, now: float) -> FollowDecision:
@@ -132,20 +148,22 @@ class FollowLaw:
         twist, state = self._search.step(now, self._odometry.newest.pose, self._trail, 0.0)
         return FollowDecision(twist, "searching" if state == "looking" else state, "marker not seen yet")
 
-    def _search_driver(self, now: float, driver: DriverEstimate) -> FollowDecision:
+    def _search_driver(self, now: float, driver: DriverEstimate, T_driver_marker: Pose2D) -> FollowDecision:
         own = self._odometry.newest.pose
         if self._search is None:
-            bearing = self._target(driver.stamp + self._params.lost_timeout_s, own, driver).bearing
-            turned = wrap_angle(driver.heading - own.theta)
+            last = driver.stamp + self._params.lost_timeout_s
+            then = self._odometry.get(last) or own
+            bearing = self._target(last, then, driver).bearing
+            turned = wrap_angle(driver.heading - then.theta)
             departure = Departure(max(self._odometry.newest.twist.v, 0.0), bearing, turned)
             self._search = DriverSearch(self._params, self._limits, departure, now)
         place = self._trail.advance(own.x, own.y)
-        ahead = self._camera_x + self._params.marker_offset_m + self._params.coast_stop_m
+        ahead = self._camera.x - T_driver_marker.x + self._params.coast_stop_m
         twist, state = self._search.step(now, own, self._trail, self._trail.length - place - ahead)
         return FollowDecision(twist, state, f"marker not seen for {now - driver.stamp:.2f} s")
 
     def _target(self, now: float, own: Pose2D, driver: DriverEstimate) -> Target:
-        camera, marker = compose(own, Pose2D(self._camera_x)), driver.marker_at(now)
+        camera, marker = compose(own, Pose2D(self._camera.x, self._camera.y)), driver.marker_at(now)
         dx, dy = marker[0] - camera.x, marker[1] - camera.y
         c, s = math.cos(own.theta), math.sin(own.theta)
         heading = driver.heading - own.theta
@@ -154,10 +172,11 @@ class FollowLaw:
             c * dy - s * dx,
             driver.speed * math.cos(heading),
             driver.speed * math.sin(heading),
-            self._camera_x,
+            self._camera.x,
+            self._camera.y,
         )
 
-    def _see(self, observation: MarkerObservation, feed_forward_mps: float) -> None:
+    def _see(self, observation: MarkerObservation, T_driver_marker: Pose2D) -> None:
         own = self.pose_at(observation.stamp)
         if own is None or not observation.pose.is_finite() or not np.isfinite(observation.covariance).all():
             return
@@ -165,28 +184,37 @@ class FollowLaw:
         marker = compose(own, observation.pose)
         self._search = None
         if self._driver is None:
-            self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance)
+            self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance, T_driver_marker)
             self._trail = DriverTrail((own.x, own.y), self._driver.axle)
         elif observation.stamp > self._driver.stamp:
             if observation.stamp - self._driver.stamp > p.lost_timeout_s:
                 # Nobody saw what it did meanwhile: its speed is unknown again, and the way to it is taken as straight.
-                self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance)
+                self._driver = DriverEstimate(p, observation.stamp, marker, observation.covariance, T_driver_marker)
                 place = self._trail.at(self._trail.advance(own.x, own.y))
                 if math.hypot(place[0] - own.x, place[1] - own.y) > STRAY_M:  # it went its own way meanwhile
                     self._trail = DriverTrail((own.x, own.y), self._driver.axle)
             else:
                 self._driver.update(observation.stamp, marker, observation.covariance)
             self._trail.extend(self._driver.axle, self._driver.heading, p.trail_step_m)
-        if feed_forward_mps > 0.0:
-            self._driver.tell_speed(feed_forward_mps)
 
-    def _keep_in_view(self, omega: float, bearing: float, drift: float) -> float:
-        """The yaw rate nearest to ``omega`` with which the bearing nears its limit no faster than exponentially.
+    def _hear(self, speed_mps: float, told_at: float | None) -> None:
+        if self._driver is not None and (speed_mps > 0.0 or told_at is not None):
+            self._driver.tell_speed(speed_mps, told_at)
 
-        ``drift`` is the bearing's rate without turning.
+    def _keep_in_view(self, wanted: Twist2D, target: Target) -> float:
+        """The yaw rate nearest to that of ``wanted`` with which the bearing nears its limit no faster than
+        exponentially.
+
+        The bearing's rate is drift - lever * omega: a camera that is not on the axle is carried sideways when the robot
+        turns, by which the marker goes out of view the faster.
         """
         gain, limit = self._params.view_gain, self._params.max_bearing_rad
-        return max(drift - gain * (limit - bearing), min(drift + gain * (limit + bearing), omega))
+        bearing, squared = target.bearing - self._camera.theta, max(target.gap, 0.1) ** 2
+        drift = (target.x * target.vy - target.y * (target.vx - wanted.v)) / squared
+        lever = 1.0 + (target.x * target.camera_x + target.y * target.camera_y) / squared
+        lever = max(lever, _LEAST_LEVER)
+        least, most = (drift - gain * (limit - bearing)) / lever, (drift + gain * (limit + bearing)) / lever
+        return max(least, min(most, wanted.omega))
 
     def pose_at(self, stamp: float) -> Pose2D | None:
         """Own pose in ``odom`` when an image was taken; None where the odometry does not reach."""

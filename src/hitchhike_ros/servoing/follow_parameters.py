@@ -41,8 +41,6 @@ class FollowParameters:
     search_timeout_s: Positive = 8.0
     """For turning to both sides and back."""
     odometry_timeout_s: Positive = 0.4
-    marker_offset_m: Positive = 0.30
-    """How far the marker is behind the driver's axle."""
     trail_step_m: Positive = 0.03
     """Distance of the trail's points."""
     driver_acceleration_mps2: Positive = 1.2
@@ -50,4 +48,4 @@ class FollowParameters:
     driver_yaw_rate_rps: Positive = 0.5
     """Standard deviation of the driver's yaw rate, for the estimate of its heading."""
     feed_forward_sigma_mps: Positive = 0.3
-    """Trust in the speed that the driver tells; it is older than what the camera sees."""
+    """Trust in the speed that the driver tells, when it tells it; older, it counts less."""

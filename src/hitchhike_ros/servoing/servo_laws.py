@@ -28,7 +28,7 @@ _NEAREST_M = 0.1
 class Target:
     """The driver's marker now: place (x, y) and velocity over ground (vx, vy), both in the planar camera frame.
 
-    ``camera_x`` is how far that frame is ahead of the own axle.
+    ``camera_x`` is how far that frame is ahead of the own axle, ``camera_y`` how far to the left of its middle.
     """
 
     x: float
@@ -36,6 +36,7 @@ class Target:
     vx: float = 0.0
     vy: float = 0.0
     camera_x: float = 0.0
+    camera_y: float = 0.0
 
     @property
     def gap(self) -> float:
@@ -109,7 +110,8 @@ class ImageTask:
     """e = (x, log(Z / Z*)): the marker's normalised image coordinate, positive to the right, and its relative depth.
 
     Chaumette & Hutchinson, Visual Servo Control I (2006), Eq. 11, for a camera ``camera_x`` ahead of the axle of a
-    unicycle; the height in the image plays no part, as the camera neither pitches nor rolls.
+    unicycle and ``camera_y`` beside its middle; the height in the image plays no part, as the camera neither pitches
+    nor rolls.
     """
 
     def error(self, target: Target, gap_m: float) -> FloatArray:
@@ -118,10 +120,11 @@ class ImageTask:
         return np.array([-target.y / Z, math.log(Z / gap_m)])
 
     def jacobian(self, target: Target) -> FloatArray:
-        """As :class:`Task`; its determinant is (1 + camera_x / Z) / Z, never 0."""
+        """As :class:`Task`; its determinant is (1 + camera_x / Z) / Z, never 0 with a camera ahead of the axle."""
         Z = max(target.x, _NEAREST_M)
         x = -target.y / Z
-        return np.array([[x / Z, 1.0 + x * x + target.camera_x / Z], [-1.0 / Z, -x]])
+        aside = target.camera_y / Z
+        return np.array([[x / Z, 1.0 + x * x + target.camera_x / Z - x * aside], [-1.0 / Z, aside - x]])
 
     def drift(self, target: Target) -> FloatArray:
         """As :class:`Task`."""
@@ -139,7 +142,7 @@ class PositionTask:
 
     def jacobian(self, target: Target) -> FloatArray:
         """As :class:`Task`; its determinant is x + camera_x."""
-        return np.array([[0.0, max(target.x, _NEAREST_M) + target.camera_x], [-1.0, target.y]])
+        return np.array([[0.0, max(target.x, _NEAREST_M) + target.camera_x], [-1.0, target.y + target.camera_y]])
 
     def drift(self, target: Target) -> FloatArray:
         """As :class:`Task`."""

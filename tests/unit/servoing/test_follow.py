@@ -429,3 +429,103 @@ def test_the_follower_is_sought_a_metre_ahead_so_that_a_loop_is_not_cut_short():
 def test_a_trail_of_one_place_leads_nowhere():
     trail = DriverTrail((1.0, 2.0))
     assert (trail.length, trail.at(0.5), trail.advance(3.0, 2.0)) == (0.0, (1.0, 2.0), 0.0)
+
+
+def bearing_rate(camera, marker, twist, driver):
+    """Rate of the marker's bearing from the camera's axis while the robot, now at 0, drives on; by numbers alone."""
+
+    def bearing(t):
+        moved = Pose2D(marker.x + t * driver[0], marker.y + t * driver[1])
+        seen = between(compose(move(Pose2D(), twist, t), camera), moved)
+        return math.atan2(seen.y, seen.x)
+
+    return (bearing(1e-5) - bearing(-1e-5)) / 2e-5
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [Pose2D(0.0), Pose2D(0.1), Pose2D(0.35), Pose2D(-0.2), Pose2D(0.15, 0.25), Pose2D(0.2, -0.1, 0.15)],
+)
+@pytest.mark.parametrize(("bearing", "gap"), [(0.30, 0.8), (-0.30, 0.8), (0.33, 0.5), (-0.25, 1.5)])
+def test_the_bearing_nears_its_limit_no_faster_than_exponentially_wherever_the_camera_is(camera, bearing, gap):
+    """With the camera 0.35 m ahead of the axle and 0.5 m from the marker it went up to 1.7 times as fast as it may."""
+    params = FollowParameters()
+    law = FollowLaw(params, LIMITS, camera.x, camera.y, camera.theta)
+    law.add_odometry(Odometry(0.0, Pose2D(), Twist2D()))
+    at = compose(camera, Pose2D(gap * math.cos(bearing), gap * math.sin(bearing)))
+    # The trail, once the driver has gone round behind the robot, leads away from the marker as sharply as can be.
+    away = -math.copysign(1.0, bearing)
+    law.step(0.0, observation(0.0, at.x, at.y), None, gap)
+    driver = law._driver
+    assert driver is not None
+    law._trail = DriverTrail((0.0, 0.0), (0.0, 0.6 * away))
+    driver.tell_speed(0.6, 0.0)
+    twist = law.step(0.0, None, None, gap - 0.2).twist
+    seen = Pose2D(at.x, at.y)
+    rate = bearing_rate(camera, seen, twist, (driver.speed, 0.0))
+    allowed = params.view_gain * (params.max_bearing_rad - abs(bearing))
+    assert rate * -away <= allowed + 1e-6
+    if abs(twist.omega) < min(params.max_yaw_rate_rps, LIMITS.max_yaw_rate_rps) - 1e-6:
+        assert rate * -away == pytest.approx(allowed, abs=1e-6)
+
+
+def test_a_follower_at_its_top_speed_keeps_the_marker_in_view_too():
+    """The drift of the bearing is that of the speed that is driven, not of one that the robot cannot go."""
+    slow = replace(LIMITS, max_speed_mps=0.3)
+    law = FollowLaw(FollowParameters(), slow, CAMERA_X)
+    law.add_odometry(Odometry(0.0, Pose2D(), Twist2D()))
+    law.step(0.0, observation(0.0, 1.7, 0.5), None, GAP)
+    law._trail = DriverTrail((0.0, 0.0), (0.0, -0.6))
+    law._driver.tell_speed(0.9, 0.0)
+    speed = law._driver.speed
+    twist = law.step(0.0, None, None, GAP).twist
+    assert twist.v <= 0.3 + 1e-9
+    camera = Pose2D(CAMERA_X)
+    bearing = math.atan2(0.5, 1.7 - CAMERA_X)
+    rate = bearing_rate(camera, Pose2D(1.7, 0.5), twist, (speed, 0.0))
+    p = FollowParameters()
+    assert rate <= p.view_gain * (p.max_bearing_rad - bearing) + 1e-6
+
+
+@pytest.mark.parametrize("behind_m", [0.15, 0.30, 0.55])
+def test_a_follower_drives_the_track_of_the_axle_of_any_driver(behind_m):
+    """With the offset of a P3DX for all, the trail cut and overshot bends by the difference."""
+    mount, radius = Pose2D(-behind_m, 0.0, math.pi), 0.9
+    law = FollowLaw(FollowParameters(), LIMITS, CAMERA_X)
+    for step in range(30):
+        now, a = 0.1 * step, 0.05 * step
+        driver = Pose2D(1.2 + radius * math.sin(a), radius * (1.0 - math.cos(a)), a)
+        marker = compose(driver, mount)
+        seen = MarkerObservation(now, 0, marker, np.diag([1e-8, 1e-8, 1e-8]))
+        law.step(now, seen, Odometry(now, Pose2D(), Twist2D()), GAP, T_driver_marker=mount)
+    for s in np.arange(1.25, law._trail.length, 0.05):
+        x, y = law._trail.at(float(s))
+        assert abs(math.hypot(x - 1.2, y - radius) - radius) < 0.004
+
+
+def test_coasting_stops_short_of_where_the_marker_was_seen_whatever_is_behind_it():
+    ends = []
+    for behind_m in (0.15, 0.55):
+        mount, own, now = Pose2D(-behind_m, 0.0, math.pi), Pose2D(), 0.0
+        law = FollowLaw(FollowParameters(), LIMITS, CAMERA_X)
+        marker_x, twist = 0.9, Twist2D()
+        for step in range(200):
+            now = 0.1 * step
+            seen = observation(now, marker_x - own.x) if step < 30 else None
+            marker_x += 0.05 if step < 30 else 0.0
+            twist = law.step(now, seen, Odometry(now, own, twist), GAP, 0.5, now, mount).twist
+            own = move(own, Twist2D(twist.v, 0.0), 0.1)
+        ends.append(marker_x - own.x - CAMERA_X)
+    assert ends[0] == pytest.approx(ends[1], abs=0.03)
+    assert min(ends) > 0.2
+
+
+def test_place_of_the_robot_and_of_the_marker_are_of_the_same_moment():
+    """Odometry 0.15 s old at 0.6 m/s: the gap was told 9 cm too large."""
+    law = FollowLaw(FollowParameters(), LIMITS, 0.0)
+    twist = Twist2D(0.6, 0.0)
+    law.add_odometry(Odometry(0.0, Pose2D(), twist))
+    law.step(0.0, observation(0.0, 1.5), None, GAP)
+    law._driver.tell_speed(0.0, 0.0)
+    decision = law.step(0.15, None, None, GAP)
+    assert decision.gap_m == pytest.approx(1.5 - 0.6 * 0.15, abs=1e-6)

@@ -30,13 +30,15 @@ from hitchhike_ros.servoing.servo_laws import (
 GAP = 0.8
 TASKS = (ImageTask(), PositionTask())
 seen = st.builds(
-    Target, st.floats(0.3, 4.0), st.floats(-1.5, 1.5), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.0, 0.3)
+    Target,
+    *(st.floats(0.3, 4.0), st.floats(-1.5, 1.5), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
+    *(st.floats(0.0, 0.3), st.floats(-0.3, 0.3)),
 )
 
 
 def moved(target: Target, v: float, omega: float, dt: float, driver: bool = True) -> Target:
     """Where the target is in the camera after the axle drove (v, omega) for ``dt``, by rigid motions alone."""
-    camera = Pose2D(target.camera_x)
+    camera = Pose2D(target.camera_x, target.camera_y)
     if omega == 0.0:
         step = Pose2D(v * dt)
     else:

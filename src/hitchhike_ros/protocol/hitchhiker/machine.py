@@ -149,8 +149,15 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         marker = self.facts.ride.rear_marker
         if self.state is S.CATCHING_UP:
             return ServoCommand("observe", marker.marker_id, marker.marker_size_m)
-        speed_mps = self.facts.ride.speed_mps(self.facts.now)
-        return ServoCommand("follow", marker.marker_id, marker.marker_size_m, self.params.gap_m, speed_mps)
+        return ServoCommand(
+            "follow",
+            marker.marker_id,
+            marker.marker_size_m,
+            self.params.gap_m,
+            self.facts.ride.speed_mps(self.facts.now),
+            self.facts.ride.told_at,
+            marker.marker_pose,
+        )
 
     @property
     def way(self) -> GoalCommand | None:

@@ -50,7 +50,8 @@ class Ride:
     ) -> None:
         """``rear_marker`` is of the robot ahead: the driver, or another rider where the ``place`` is not the first."""
         self.rear_marker, self.place = rear_marker, place
-        self.report: Driver | Decouple | None = None  # the newest message of the driver
+        self.report: Driver | Decouple | None = None  # the newest message of the driver,
+        self.told_at: float | None = None  # and of when it tells, on the own clock
         self.told: deque[Pose2D] = deque()  # where the driver said that it was: the last metres of its way
         self._params, self._camera = params, Pose2D(*camera)
         self._heard_at = self._seen_at = now
@@ -120,7 +121,8 @@ class Ride:
         """
         if message.ahead is not None and message.ahead != self.rear_marker:
             self.rear_marker, self._track, self.told = message.ahead, DriverTrack(), deque()
-        self._heard_at, self.report, self.place = now, message, message.place
+        self._heard_at = self.told_at = now
+        self.report, self.place = message, message.place
         if not self.told or distance(self.told[-1], message.pose) >= _TOLD_STEP_M:
             self.told.append(message.pose)
         while distance(self.told[0], message.pose) > _TOLD_M:
