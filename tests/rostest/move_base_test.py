@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from watch import Watch
 
 from hitchhike_ros.core.datatypes import Pose2D
-from hitchhike_ros.core.geometry import distance, wrap_angle
+from hitchhike_ros.core.geometry import compose, distance, wrap_angle
 from hitchhike_ros.ros_io.conversions import pose_from_msg, pose_stamped
 
 RESULT = "/turtlebot/move_base/result"
@@ -102,11 +102,19 @@ class MoveBaseTest(unittest.TestCase):
         self.assertEqual(GoalStatus.PREEMPTED, self.result()[0])
         self.assert_stops()
 
+    def test_4b_a_goal_in_another_frame_is_where_that_frame_has_it(self) -> None:
+        start = self.watch.truth("turtlebot")
+        self.send(goal(0.6, 0.0, frame="turtlebot/base_footprint"))
+        self.assertEqual(GoalStatus.SUCCEEDED, self.result()[0])
+        ahead = compose(start, Pose2D(0.6))
+        self.assert_there(ahead.x, ahead.y, ahead.theta)
+
     def test_5_aborts_say_why(self) -> None:
         for where, why in (
             (goal(10.0, 4.5), "to the nearest obstacle"),  # in the wall
             (goal(-5.0, 4.5), "outside the map"),
-            (goal(4.0, 5.5, frame="odom"), "expected finite and in 'map'"),
+            (goal(4.0, 5.5, frame="cellar"), "frame 'cellar', expected 'map' or one that TF connects with it"),
+            (goal(4.0, 5.5, math.nan), "expected finite numbers"),
         ):
             self.send(where)
             status, text = self.result()
@@ -122,6 +130,9 @@ class MoveBaseTest(unittest.TestCase):
         self.assertAlmostEqual(2.0, poses[0].pose.position.x, places=3)
         self.assertAlmostEqual(20.0, poses[-1].pose.position.x, places=3)
         self.assertEqual([], make_plan(start, goal(10.0, 4.5).target_pose, 0.0).plan.poses)
+        for end_of_path in (start, end):
+            end_of_path.pose.orientation.w = end_of_path.pose.orientation.z = 0.0  # nobody has said
+        self.assertEqual(len(poses), len(make_plan(start, end, 0.0).plan.poses))
 
     def test_7_nothing_was_touched(self) -> None:
         self.assertEqual([], self.touched)

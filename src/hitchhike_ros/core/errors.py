@@ -96,5 +96,9 @@ class StaleInputError(SensorDataError):
     """An input or an order that a module needs is missing or too old."""
 
 
+class FrameError(HitchhikeError):
+    """A pose is given in a frame that nothing connects with the map."""
+
+
 class TeleopError(HitchhikeError):
     """A robot that a human drives cannot go on as the human wants, or there is nothing to drive it with."""

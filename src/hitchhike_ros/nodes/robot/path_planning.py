@@ -23,15 +23,18 @@ TF: none.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan, GetPlanRequest, GetPlanResponse
 
 from hitchhike_ros.core.datatypes import Pose2D
-from hitchhike_ros.core.errors import OutsideMapError, PlanningError, StaleInputError
+from hitchhike_ros.core.errors import FrameError, OutsideMapError, PlanningError, StaleInputError
 from hitchhike_ros.modules.inputs import NO_PATH, PlannedPath
 from hitchhike_ros.modules.path_planning import PathPlanning
-from hitchhike_ros.ros_io.conversions import pose_from_msg
+from hitchhike_ros.ros_io.frames import pose_in_map
 from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
@@ -52,8 +55,8 @@ def serve_make_plan(host: ModuleHost, module: PathPlanning) -> rospy.Service:
 
     def make_plan(request: GetPlanRequest) -> GetPlanResponse:
         try:
-            start = _pose("start", request.start) if request.start.header.frame_id else None
-            goal, now = _pose("goal", request.goal), rospy.get_time()
+            start = _place("start", request.start) if request.start.header.frame_id else None
+            goal, now = _place("goal", request.goal), rospy.get_time()
             path = PlannedPath(host.call(lambda: module.make_plan(start, goal, request.tolerance, now)), goal)
         except StaleInputError as exc:
             raise rospy.ServiceException(str(exc)) from exc
@@ -65,10 +68,13 @@ def serve_make_plan(host: ModuleHost, module: PathPlanning) -> rospy.Service:
     return rospy.Service("make_plan", GetPlan, make_plan)
 
 
-def _pose(name: str, msg: PoseStamped) -> Pose2D:
-    if msg.header.frame_id.strip("/") not in ("map", ""):
-        raise OutsideMapError(f"{name} is in frame {msg.header.frame_id!r}, expected 'map'")
-    return pose_from_msg(msg.pose)
+def _place(name: str, msg: PoseStamped) -> Pose2D:
+    """In ``map``; a path does not depend on the headings of its ends, which may be left out."""
+    try:
+        pose = pose_in_map(msg)
+    except FrameError as exc:
+        raise OutsideMapError(f"{name} is in {exc}") from exc
+    return pose if math.isfinite(pose.theta) else replace(pose, theta=0.0)
 
 
 def main() -> None:
