@@ -13,7 +13,13 @@ class InputFileError(HitchhikeError):
     def __init__(self, file: object, field: str, value: object, expected: str) -> None:
         self.file, self.field, self.value, self.expected = str(file), field, value, expected
         where = f"{file}: {field}" if field else str(file)
-        super().__init__(f"{where} is {value!r}, expected {expected}")
+        super().__init__(f"{_short(where)} is {_short(repr(value))}, expected {_short(expected, 2000)}")
+
+
+def _short(text: str, most: int = 300) -> str:
+    """``text`` on one line, and only its beginning where a file has put too much into it."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else f"{line[:most]} …"
 
 
 class MapFileError(InputFileError):

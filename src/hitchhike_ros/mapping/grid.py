@@ -24,7 +24,8 @@ class OccupancyGrid:
     ``data`` is (H, W) int8: 0 free, 100 occupied, -1 unknown, between them the probability in percent. Row 0 has the
     smallest y of the grid's own frame. ``origin`` is the pose in ``map`` of the outer corner of cell (0, 0); it may be
     rotated. A cell is written (row, column), so that ``data[tuple(cells.T)]`` reads the values of cells (N, 2).
-    The array is kept read-only: a changed map is a new grid, and a grid's identity may serve as a key to a cache.
+    The array is kept read-only: a changed map is a new grid, and a grid's identity may serve as a key to a cache. One
+    that is read-only already is taken over, any other is copied.
     """
 
     data: npt.NDArray[np.int8]
@@ -32,7 +33,9 @@ class OccupancyGrid:
     origin: Pose2D = field(default_factory=Pose2D)
 
     def __post_init__(self) -> None:
-        data = np.array(self.data, dtype=np.int8, order="C")
+        data = self.data
+        if not _is_kept(data):
+            data = np.array(data, dtype=np.int8, order="C")
         if data.ndim != 2 or data.size == 0:
             raise ValueError(f"grid data has shape {data.shape}, expected (H, W) with at least one cell")
         if not (np.isfinite(self.resolution) and self.resolution > 0 and self.origin.is_finite()):
@@ -88,7 +91,15 @@ class OccupancyGrid:
             offset = np.abs(self.cell_to_world(np.column_stack([rows.ravel(), columns.ravel()])) - centre)
             overlaps = (offset < half + self.resolution / 2 * turn - tiny).all(axis=1).reshape(rows.shape)
             data[low[0] : high[0], low[1] : high[1]][overlaps] = OCCUPIED
+        data.setflags(write=False)
         return replace(self, data=data)
+
+
+def _is_kept(data: npt.NDArray[np.int8]) -> bool:
+    """Whether nobody can write into the array, also not by the one that it is a view of."""
+    owners = (data, data.base) if isinstance(data, np.ndarray) and data.base is not None else (data,)
+    read_only = all(isinstance(owner, np.ndarray) and not owner.flags.writeable for owner in owners)
+    return read_only and data.dtype == np.int8 and data.flags.c_contiguous
 
 
 def distance_to(mask: BoolArray, resolution: float) -> npt.NDArray[np.float32]:

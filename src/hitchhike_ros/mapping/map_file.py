@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
@@ -15,13 +18,17 @@ import yaml
 from hitchhike_ros.core.datatypes import Pose2D, Positive, UnitInterval
 from hitchhike_ros.core.errors import MapFileError
 from hitchhike_ros.core.parameters import convert, read_yaml
+from hitchhike_ros.core.yaml_text import parse_yaml_text
 from hitchhike_ros.mapping.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from hitchhike_ros.mapping.map_image import ImageError, MapImage, read_image
 
 Mode = Literal["trinary", "scale", "raw"]
 
 # What map_saver writes: grey values and thresholds that the reader takes for free, occupied and unknown.
 PIXEL_FREE, PIXEL_OCCUPIED, PIXEL_UNKNOWN = 254, 0, 205
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+
+_BAND = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -49,10 +56,9 @@ def load_map(path: Path | str) -> OccupancyGrid:
     """
     path = Path(path)
     description = _read_description(path)
-    image = _read_image(path, description.image)
-    data = _values(image, description)
+    data = _cells(_read_image(path, description.image), description)
     x, y, yaw = description.origin
-    return OccupancyGrid(np.flipud(data), description.resolution, Pose2D(x, y, yaw))
+    return OccupancyGrid(data, description.resolution, Pose2D(x, y, yaw))
 
 
 def save_map(grid: OccupancyGrid, path: Path | str) -> None:
@@ -100,56 +106,111 @@ def trinary(grid: OccupancyGrid, free_percent: int = 25, occupied_percent: int =
 
 
 def _read_description(path: Path) -> _MapYaml:
-    content = read_yaml(path, MapFileError)
-    known = {f.name for f in fields(_MapYaml)}
-    for name in known - {"mode"}:
-        if name not in content:
+    content = read_yaml(path, MapFileError, parse_yaml_text)
+    values: dict[str, object] = {"mode": "trinary"}
+    for name in (f.name for f in fields(_MapYaml)):
+        if name in content:
+            values[name] = _NUMBERS[name](content[name]) if name in _NUMBERS else content[name]
+        elif name != "mode":
             raise MapFileError(path, name, None, "a value: every map_server YAML has this field")
-    if isinstance(content["negate"], bool):
-        content["negate"] = int(content["negate"])
-    description = convert({key: content[key] for key in known & set(content)}, _MapYaml, path, error=MapFileError)
+    description = convert(values, _MapYaml, path, error=MapFileError)
     if not math.isfinite(description.resolution):
         raise MapFileError(path, "resolution", description.resolution, "a finite number of metres per pixel")
     if not all(math.isfinite(value) for value in description.origin):
         raise MapFileError(path, "origin", list(description.origin), "finite [x, y, yaw]")
-    if not description.free_thresh < description.occupied_thresh:
-        expected = f"less than occupied_thresh ({description.occupied_thresh})"
+    if not description.free_thresh <= description.occupied_thresh:
+        expected = f"at most occupied_thresh ({description.occupied_thresh})"
         raise MapFileError(path, "free_thresh", description.free_thresh, expected)
     return description
 
 
-def _read_image(path: Path, name: str) -> npt.NDArray[np.float64]:
-    """The image's pixels, (H, W, channels) in 0–255, top row first."""
+def _float(text: object) -> object:
+    """The number that yaml-cpp reads in a scalar: always decimal, 010 is 10. What is none stays as it is."""
+    if isinstance(text, str):
+        if _FLOAT.fullmatch(text):
+            return float(text)
+        match = _NOT_FINITE.fullmatch(text)
+        if match:
+            return float(match.group(1) + match.group(2))
+    return text
+
+
+def _origin(value: object) -> object:
+    """[x, y, yaw]; map_server ignores what stands behind them."""
+    return [_float(item) for item in value[:3]] if isinstance(value, list) else value
+
+
+def _negate(text: object) -> object:
+    """As yaml-cpp reads an int: with the prefixes of C. ``true`` and ``false`` are taken too, as nav2 writes them."""
+    match = _INT.fullmatch(text) if isinstance(text, str) else None
+    if match is None:
+        return {"true": 1, "false": 0}.get(text.lower(), text) if isinstance(text, str) else text
+    digits = match.group(2)
+    base = 16 if digits[:2].lower() == "0x" else 8 if digits[0] == "0" else 10
+    return int(match.group(1) + digits, base)
+
+
+_FLOAT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\s*", re.ASCII)
+_NOT_FINITE = re.compile(r"([-+]?)\.(inf|Inf|INF|nan|NaN|NAN)")
+_INT = re.compile(r"([-+]?)(0[xX][0-9a-fA-F]{1,7}|0[0-7]{0,10}|[1-9][0-9]{0,8})\s*", re.ASCII)
+_NUMBERS: dict[str, Callable[[object], object]] = {
+    "resolution": _float,
+    "origin": _origin,
+    "negate": _negate,
+    "occupied_thresh": _float,
+    "free_thresh": _float,
+}
+
+
+def _read_image(path: Path, name: str) -> MapImage:
     file = path.parent / name
-    if not file.is_file():
+    if not os.path.isfile(file):  # Path.is_file raises where a name is too long
         raise MapFileError(path, "image", name, f"an image file; {file} is not one")
     try:
-        pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    except cv2.error as exc:
-        raise MapFileError(path, "image", name, f"a PGM, PNG or BMP image ({exc.err})") from exc
-    if pixels is None:
-        raise MapFileError(path, "image", name, "a PGM, PNG or BMP image that can be read")
-    if pixels.dtype not in (np.uint8, np.uint16):
-        raise MapFileError(path, "image", name, f"an image of 8 or 16 bits a channel, not of {pixels.dtype}")
-    return np.atleast_3d(pixels) * (255.0 / np.iinfo(pixels.dtype.name).max)
+        return read_image(file)
+    except ImageError as exc:
+        raise MapFileError(path, "image", name, str(exc)) from exc
+    except OSError as exc:
+        raise MapFileError(path, "image", name, f"a file that can be read ({exc.strerror})") from exc
 
 
-def _values(pixels: npt.NDArray[np.float64], description: _MapYaml) -> npt.NDArray[np.int8]:
-    """Cell values (H, W) of pixels (H, W, channels), by the rules of map_server's image loader."""
-    channels = pixels.shape[2]
-    has_alpha = channels in (2, 4)
+def _cells(image: MapImage, description: _MapYaml) -> npt.NDArray[np.int8]:
+    """Cell values (H, W), lowest row first, by the rules of map_server's image loader.
+
+    They take the place of the pixels in the image's buffer, so that a map needs no memory beyond that.
+    """
+    channels, buffer, cells = image.channels, image.buffer, image.height * image.width
     # map_server's trinary mode averages alpha as if it were a colour; maps that rely on it must read the same.
-    colours = pixels if description.mode == "trinary" or not has_alpha else pixels[:, :, :-1]
-    grey = colours.mean(axis=2)
+    colours = 3 if channels == 4 and description.mode != "trinary" else channels
+    opaque, transparent = (_value_of_sum(colours, description, is_opaque) for is_opaque in (True, False))
+    for first in range(0, cells, _BAND):
+        last = min(cells, first + _BAND)
+        pixels = buffer[first * channels : last * channels].reshape(-1, channels)
+        sums = pixels[:, 0] if channels == 1 else pixels[:, :colours].sum(axis=1, dtype=np.uint16)
+        values = opaque[sums]
+        if description.mode == "scale" and channels > 1:
+            # map_server takes the last byte of a pixel for alpha, also where it is a colour.
+            values = np.where(pixels[:, image.sdl_last] > 0, values, transparent[sums])
+        buffer[first:last] = values.view(np.uint8)
+    del pixels, sums
+    buffer.resize(cells, refcheck=False)  # gives the rest of the memory back; no other view of it is left
+    buffer.shape = (image.height, image.width)
+    cv2.flip(buffer, 0, buffer)
+    buffer.setflags(write=False)
+    return buffer.view(np.int8)
+
+
+def _value_of_sum(colours: int, description: _MapYaml, is_opaque: bool) -> npt.NDArray[np.int8]:
+    """Cell values by the sum of so many colours, 0 to 255 each."""
+    grey = np.arange(255 * colours + 1) / colours
     if description.negate:
         grey = 255.0 - grey
     if description.mode == "raw":
-        return np.where(grey > OCCUPIED, UNKNOWN, grey).astype(np.int8)
+        return np.where(grey.astype(int) > OCCUPIED, UNKNOWN, grey).astype(np.int8)
     occupancy = (255.0 - grey) / 255.0
-    occupied, free = occupancy > description.occupied_thresh, occupancy < description.free_thresh
     between = np.full(grey.shape, UNKNOWN, dtype=np.float64)
-    if description.mode == "scale":
-        span = description.occupied_thresh - description.free_thresh
-        opaque = pixels[:, :, -1] > 0 if has_alpha else np.ones(grey.shape, dtype=bool)
-        between = np.where(opaque, 1.0 + 98.0 * (occupancy - description.free_thresh) / span, UNKNOWN)
+    if description.mode == "scale" and is_opaque:
+        span = max(description.occupied_thresh - description.free_thresh, 1e-9)
+        between = np.clip(1.0 + 98.0 * (occupancy - description.free_thresh) / span, 1.0, 99.0)
+    occupied, free = occupancy > description.occupied_thresh, occupancy < description.free_thresh
     return np.select([occupied, free], [OCCUPIED, FREE], between).astype(np.int8)

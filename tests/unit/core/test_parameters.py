@@ -1,5 +1,6 @@
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -62,6 +63,45 @@ def test_a_bad_field_is_named(tmp_path: Path, section: str, field: str, value: o
     assert caught.value.field.startswith(field)
     assert str(value) in str(caught.value)
     assert expected in caught.value.expected
+
+
+@dataclass(frozen=True)
+class Robot:
+    mode: Literal["local", "network"] = "local"
+    policy: Literal["nearest", "first"] | None = None
+    modes: tuple[Literal["a", "b"], ...] = ()
+    pair: tuple[Literal["left"], Literal[0, 1]] = ("left", 0)
+
+
+@dataclass(frozen=True)
+class Fleet:
+    robots: dict[str, Robot]
+
+
+@pytest.mark.parametrize(
+    ("robot", "field", "expected"),
+    [
+        ({"mode": "Network"}, "mode", "one of 'local', 'network'"),
+        ({"policy": "last"}, "policy", "one of 'first', 'nearest'"),
+        ({"modes": ["a", "c"]}, "modes[1]", "one of 'a', 'b'"),
+        ({"pair": ["left", 2]}, "pair[1]", "one of 0, 1"),
+        ({"pair": ["right", 0]}, "pair[0]", "one of 'left'"),
+    ],
+)
+def test_of_a_choice_the_allowed_values_are_said(robot: dict[str, object], field: str, expected: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        convert(robot, Robot, "robot.yaml", "hitchhiking")
+    assert (caught.value.field, caught.value.expected) == (f"hitchhiking.{field}", expected)
+    with pytest.raises(ParameterError) as caught:
+        convert({"robots": {"p3dx": robot}}, Fleet, "robot.yaml")
+    assert caught.value.expected == expected
+
+
+def test_expectations_are_in_words() -> None:
+    with pytest.raises(ParameterError, match="expected a mapping that has the field `goal`"):
+        convert({"range_m": 3}, Settings, "robot.yaml")
+    with pytest.raises(ParameterError, match="expected a number of at most 64 bits"):
+        convert({"goal": {}, "range_m": 10**400}, Settings, "robot.yaml")
 
 
 def test_a_bad_override_is_not_blamed_on_the_file(tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ BAD = [
     ("robots.r.goal_at_s", -1.0, "robots.r.goal_at_s", ">= 0"),
     ("robots.r.hitchhiking", {"seats": 2}, "robots.r.hitchhiking.seats", "one of the fields"),
     ("robots.r.hitchhiking", {"places": 0}, "robots.r.hitchhiking.places", ">= 1"),
-    ("hitchhiking", {"mode": "radio"}, "hitchhiking.mode", "radio"),
+    ("hitchhiking", {"mode": "radio"}, "hitchhiking.mode", "local"),
     ("hitchhiking", ["network"], "hitchhiking", "a mapping"),
     ("base", "nowhere.yaml", "base", "the path of another"),
     ("base", "test.world.yaml", "base", "not based on this one"),
