@@ -55,7 +55,7 @@ class Filter:
         self.odometry: list[Odometry] = []
         self.explained: float | None = None
         self.problem = ""  # of the next scan, marker or odometry
-        self.used = True
+        self.used, self.explains = True, 0.876
 
     @property
     def initialised(self) -> bool:
@@ -85,7 +85,7 @@ class Filter:
     def update_scan(self, scan: LaserScan) -> bool:
         self.calls.append(f"scan {scan.stamp}")
         self._raise()
-        self.explained = 0.876 if self.used else None
+        self.explained = self.explains if self.used else None
         return self.used
 
     def update_markers(self, markers: tuple[MarkerObservation, ...]) -> int:
@@ -123,8 +123,9 @@ class Boxes:
         self.obstacles += tuple(box for box in obstacles if box not in self.obstacles)
 
 
-def scan(stamp: float) -> LaserScan:
-    return LaserScan(stamp, -1.0, 0.1, 0.02, 8.0, np.full(21, 2.0))
+def scan(stamp: float, returns: int = 21) -> LaserScan:
+    """Of 21 beams, of which the last ones have no return."""
+    return LaserScan(stamp, -1.0, 0.1, 0.02, 8.0, np.where(np.arange(21) < returns, 2.0, np.inf))
 
 
 def status(modules: ModuleSwitches | None = None, **fields: Any) -> Status:
@@ -391,10 +392,41 @@ def test_markers_say_nothing_before_there_is_a_pose() -> None:
 def test_a_scan_that_shows_too_little_says_so_and_the_pose_goes_on() -> None:
     rig = Rig()
     rig.filter.used = False
-    outputs = rig.scan(1.0)
+    outputs = rig.sense(scan(1.0, returns=6), 1.0)
     assert (outputs.health.level, outputs.health.reason) == (Level.WARN, "the scan shows too little of the map")
     assert "explained" not in outputs.health.counters
     assert outputs.pose is not None
+
+
+@pytest.mark.parametrize(("used", "share"), [(True, "49%"), (True, "0%"), (False, "none")])
+def test_scans_that_contradict_the_pose_are_said_become_an_error_and_map_nothing(used: bool, share: str) -> None:
+    rig = Rig()
+    rig.boxes.finds = [(BOX,)] * 40
+    rig.filter.used, rig.filter.explains = used, 0.0 if share == "0%" else 0.49
+    levels = []
+    for k in range(31):
+        now = 1.0 + 0.1 * k
+        rig.order(status(), now)
+        outputs = rig.scan(now)
+        assert outputs.health.reason == (
+            f"scans contradict the pose: {share} of them lies on walls of the map, expected 50%"
+        )
+        assert outputs.pose is not None
+        levels.append(outputs.health.level)
+    assert levels == [Level.WARN] * 20 + [Level.ERROR] * 11
+    assert rig.boxes.updates == []
+    rig.filter.used, rig.filter.explains = True, 0.51
+    assert rig.scan(4.1).health.level is Level.OK
+    assert len(rig.boxes.updates) == 1
+    rig.filter.explains = 0.1
+    assert rig.scan(4.2).health.level is Level.WARN, "it counts anew"
+
+
+def test_a_robot_that_rests_goes_on_looking_while_scans_contradict_its_pose() -> None:
+    rig = standing()
+    rig.filter.explains = 0.3
+    scans(rig, TENTHS[:5])
+    assert rig.worked_on() == TENTHS[:5]
 
 
 @pytest.mark.parametrize("refused", [True, False])
