@@ -67,6 +67,8 @@ class Agent:
         self._situation = Situation()
         self._goal: Pose2D | None = None  # the newest that was given, and not withdrawn
         self._waits = False  # with the goal, until it knows where it is and no ride is on
+        self._waits_since = math.inf  # for its pose
+        self._refused: Ending | None = None  # why it did not set out for the newest goal
         self._asks = 0  # on the way to the present goal
         self._reversed_at = -math.inf
         self._booked_for = ""  # the ride after which another one was looked for
@@ -90,7 +92,7 @@ class Agent:
     @property
     def outcome(self) -> Ending | None:
         """How the last goal ended; None while the robot is on its way to one."""
-        return None if self._waits or self._set_out else self.driver.ending
+        return None if self._waits or self._set_out else self._refused or self.driver.ending
 
     def step(self, event: object, now: float) -> list[Effect]:
         """Take a GoalGiven, GoalCancelled, Tick or network Message, and say what is to be done."""
@@ -134,7 +136,7 @@ class Agent:
             robot_id=self.robot_id,
             role=role,
             state=machine.state.value,
-            reason=str(machine.ending),
+            reason=str(self._refused or machine.ending),
             modules=machine.modules,
             goal=self.hitchhiker.way if self.rides else self.driver.goal,
             speed_limit_mps=self.driver.speed_limit_mps,
@@ -169,9 +171,8 @@ class Agent:
         effects += self._book(now)
         if rode and not self.rides and self._goal is not None and not self._waits:
             effects += self._go_on(self._goal, now)
-        if self._waits and self._goal is not None and not self.rides and tick.situation.estimate is not None:
-            self._waits = False
-            effects += self._begin(self._goal, now)
+        if self._waits and self._goal is not None and not self.rides:
+            effects += self._set_out_for(self._goal, now)
         if now >= self._forget_due:
             longest_s = max(self.params.robot_timeout_s, self.params.lost_timeout_s)
             self._forget_due = now + longest_s
@@ -185,6 +186,18 @@ class Agent:
         return HitchhikerMachine(
             self.robot_id, self.params, self._sites, self._camera, self._rear_marker, self.neighbours, self._metres
         )
+
+    def _set_out_for(self, goal: Pose2D, now: float) -> list[Effect]:
+        """Begin, once the robot knows where it is; a pose is awaited for a while, as after a start."""
+        if self._situation.estimate is not None:
+            self._waits = False
+            return self._begin(goal, now)
+        self._waits_since = min(self._waits_since, now)
+        if now - self._waits_since < self.params.localize_timeout_s:
+            return []
+        self._goal, self._waits = None, False
+        self._refused = Ending(Reason.NOT_LOCALIZED, f"no pose for {self.params.localize_timeout_s:g} s")
+        return [Report(str(self._refused), self._refused.reason)]
 
     def _begin(self, goal: Pose2D, now: float) -> list[Effect]:
         return self._ask(goal, now) if self._wants_ride(goal) else self.driver.step(GoalGiven(goal), now)
@@ -255,7 +268,7 @@ class Agent:
         return effects + self.hitchhiker.ask(goal, now, request.robot_id, window_s)
 
     def _drop_goal(self, now: float) -> list[Effect]:
-        self._goal, self._waits = None, False
+        self._goal, self._waits, self._waits_since, self._refused = None, False, math.inf, None
         effects = self.hitchhiker.step(GoalCancelled(), now) + self.driver.step(GoalCancelled(), now)
         if self.booking is not None:
             booking, self.booking = self.booking, None

@@ -42,6 +42,7 @@ class Reason(Enum):
     # A goal ends.
     ARRIVED = "Goal reached"
     CANNOT_GO_ON = "Navigation failed"
+    NOT_LOCALIZED = "Not localized"
     GOAL_CANCELLED = "Goal cancelled"
     GOAL_CHANGED = "Goal changed"
 
@@ -76,7 +77,7 @@ LOCALIZATION_SILENT = "localization did not answer"
 """As the detail of a ride that ends."""
 
 # How a detail is told where it is not simply added.
-_DETAILED = {Reason.CANNOT_GO_ON: "{}: {}", Reason.DRIVER_NOT_FOUND: "{} ({})"}
+_DETAILED = {Reason.CANNOT_GO_ON: "{}: {}", Reason.NOT_LOCALIZED: "{}: {}", Reason.DRIVER_NOT_FOUND: "{} ({})"}
 
 
 @dataclass(frozen=True)

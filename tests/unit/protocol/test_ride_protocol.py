@@ -48,6 +48,7 @@ from hitchhike_ros.protocol.messages import (
 )
 from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
+from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.protocol.status import GoalCommand, KnownRobot, ModuleSwitches, Status, decode_status, encode_status
 from protocol_helpers import (
     BOXES,
@@ -405,6 +406,48 @@ def test_the_outcome_of_a_goal_is_known_when_its_way_ends_and_not_before(may_rid
     assert agent.outcome is None
     agent.step(GoalCancelled(), 73.0)
     assert str(agent.outcome) == "Goal cancelled"
+
+
+def _lost(now: float) -> tuple[Tick, float]:
+    return Tick(Situation()), now
+
+
+def test_a_goal_of_a_robot_that_does_not_know_where_it_is_is_refused_after_a_while() -> None:
+    agent = _agent(may_ride=False)
+    agent.step(GoalGiven(RIDER_GOAL), 1.0)
+    for now in (1.0, 5.9):
+        assert agent.step(*_lost(now)) is not None
+        assert agent.outcome is None
+    effects = agent.step(*_lost(6.0))
+    assert [e.reason for e in effects if isinstance(e, Report)] == [Reason.NOT_LOCALIZED]
+    assert agent.outcome == Ending(Reason.NOT_LOCALIZED, "no pose for 5 s")
+    assert str(agent.outcome) == agent.status(6.0).reason == "Not localized: no pose for 5 s"
+    agent.step(_here(7.0), 7.0)
+    assert agent.outcome is not None, "a pose that comes later begins nothing"
+    agent.step(GoalGiven(RIDER_GOAL), 8.0)
+    assert agent.outcome is None
+    agent.step(_here(8.0), 8.0)
+    assert agent.goal == RIDER_GOAL
+    assert agent.status(8.0).reason == ""
+
+
+def test_a_pose_that_comes_in_time_sets_the_robot_going() -> None:
+    agent = _agent(may_ride=False)
+    agent.step(GoalGiven(RIDER_GOAL), 1.0)
+    agent.step(*_lost(1.0))
+    agent.step(*_lost(5.9))
+    agent.step(_here(5.95), 5.95)
+    assert agent.goal == RIDER_GOAL
+
+
+def test_a_clock_that_goes_back_does_not_make_the_wait_for_a_pose_longer() -> None:
+    agent = _agent(may_ride=False)
+    agent.step(GoalGiven(RIDER_GOAL), 400.0)
+    agent.step(*_lost(400.0))
+    agent.step(*_lost(100.0))
+    assert agent.outcome is None
+    agent.step(*_lost(105.0))
+    assert agent.outcome == Ending(Reason.NOT_LOCALIZED, "no pose for 5 s")
 
 
 def test_a_robot_that_is_stuck_gives_up_and_says_why() -> None:
