@@ -20,6 +20,7 @@ from hitchhike_ros.control.local_planner import LocalPlanner
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.teleop_authority import TeleopAuthority, TeleopAuthorityParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_line
+from hitchhike_ros.control.wheel_watch import WheelWatch
 from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, PoseEstimate, Positive, Side, Twist2D
 from hitchhike_ros.core.errors import PlanningError, SensorDataError, TeleopError
 from hitchhike_ros.core.geometry import compose, distance, pose_from_matrix, wrap_angle
@@ -81,6 +82,7 @@ class ObstacleAvoidance:
         self._T_base_laser = T_base_laser
         self._local_planner = LocalPlanner(limits, params)
         self._teleop_authority = TeleopAuthority(teleop_params)
+        self._wheels, self._driven = WheelWatch(), Twist2D()  # and what they were told last
         self._orders = Orders()
         self._refused = dict.fromkeys(_COUNTERS.values(), 0)
         self._status: Status | None = None  # the order that counted at the last step
@@ -222,6 +224,7 @@ class ObstacleAvoidance:
         if self._goal is None:
             self._local_planner.clear()
             self._followed, self._turns_for = None, ""
+            self._wheels.clear()
             self._say(_IDLE, Level.OK, None if before is None else Twist2D())
         elif self._status is None:
             self._stand(self._goal, _NO_STATUS)
@@ -278,11 +281,14 @@ class ObstacleAvoidance:
         except TeleopError as exc:
             self._stand(goal, str(exc))
             return
-        decision = self._local_planner.step(
-            now, pose, self._odometry.newest.twist, scan, self._T_base_laser, limit, gentle, others, hand
-        )
-        level = Level.ERROR if decision.state == "blocked" else Level.OK
-        self._say(NavigationReport(goal.id, decision.state, decision.reason), level, decision.twist)
+        twist = self._odometry.newest.twist
+        # The wheels answer what was said for the scan before.
+        wheels = self._wheels.problem(now, self._driven, twist)
+        decision = self._local_planner.step(now, pose, twist, scan, self._T_base_laser, limit, gentle, others, hand)
+        self._driven = decision.twist
+        level = Level.ERROR if wheels or decision.state == "blocked" else Level.OK
+        state, reason = ("blocked", wheels) if wheels else (decision.state, decision.reason)
+        self._say(NavigationReport(goal.id, state, reason), level, decision.twist)
 
     def _follow(self, goal: GoalCommand) -> bool:
         """Take a new plan to the goal; whether there is one.
@@ -348,6 +354,7 @@ class ObstacleAvoidance:
 
     def _stand(self, goal: GoalCommand, reason: str) -> None:
         """Stand on the way to the goal, because of something that is not as it should be."""
+        self._wheels.clear()
         if not self._arrived(goal):
             self._say(NavigationReport(goal.id, "blocked", reason), Level.ERROR, Twist2D())
 

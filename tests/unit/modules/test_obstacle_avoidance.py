@@ -16,6 +16,7 @@ from hitchhike_ros.control.leg import Decision
 from hitchhike_ros.control.local_planner import LocalPlanner
 from hitchhike_ros.control.teleop_authority import TeleopAuthorityParameters
 from hitchhike_ros.control.wall_alignment import WallAlignmentParameters
+from hitchhike_ros.control.wheel_watch import STANDING
 from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.core.geometry import compose, distance
@@ -244,6 +245,26 @@ def test_a_decision_is_passed_on_and_reported_when_it_changes(its: ObstacleAvoid
     assert outputs.command == NavigationCommand(Twist2D(0.0, 0.5))
     assert outputs.report == NavigationReport("1", "blocked", "no way; turning to look")
     assert outputs.health == Health(Level.ERROR, "blocked: no way; turning to look")
+
+
+def test_wheels_that_stand_against_the_command_are_reported_within_a_second(its: ObstacleAvoidance) -> None:
+    said = [frame(its, 10.0 + 0.1 * k) for k in range(1, 13)]
+    assert all(outputs.command == NavigationCommand(AHEAD) for outputs in said), "it goes on as soon as it can"
+    reports = [outputs.report for outputs in said if outputs.report is not None]
+    assert reports == [NavigationReport("1", "blocked", STANDING)]
+    assert said[-1].health == Health(Level.ERROR, f"blocked: {STANDING}")
+    assert [outputs.report is not None for outputs in said].index(True) <= 10
+    hear(its, 11.3, odometry(11.3, twist=AHEAD), pose(11.3))
+    outputs = hear(its, 11.3, scan(11.3))
+    assert outputs is not None
+    assert outputs.report == NavigationReport("1", "driving")
+
+
+def test_who_stands_because_of_something_else_is_not_told_that_its_wheels_do(its: ObstacleAvoidance) -> None:
+    frame(its, 10.1)
+    stands(hear(its, 10.2, Refused(LaserScan, "empty", "/laser", 10.2)), "empty")
+    hear(its, 11.5, ON)
+    assert frame(its, 11.6).report == NavigationReport("1", "driving")
 
 
 def test_a_new_plan_and_a_new_goal_are_taken_up_once(its: ObstacleAvoidance, planner: Recorder) -> None:
