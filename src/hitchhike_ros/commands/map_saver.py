@@ -16,7 +16,6 @@ from nav_msgs.msg import OccupancyGrid
 
 from hitchhike_ros.commands.command_line import SETTINGS, help_of, run
 from hitchhike_ros.commands.next_message import wait_for
-from hitchhike_ros.core.errors import MapFileError
 from hitchhike_ros.mapping.map_file import save_map, trinary
 from hitchhike_ros.ros_io.conversions import grid_from_msg
 
@@ -48,10 +47,7 @@ def command(name: str, occ: int, free: int, timeout_s: float) -> None:
         raise click.UsageError(f"--free {free} --occ {occ}: expected 0 <= free < occ <= 100")
     rospy.init_node("map_saver", disable_signals=True)
     msg = wait_for("map", OccupancyGrid, "map", timeout_s)
-    try:
-        grid = grid_from_msg(msg)
-    except ValueError as exc:
-        raise MapFileError(rospy.resolve_name("map"), "", str(exc), "as many values as height times width say") from exc
+    grid = grid_from_msg(msg)
     # Messages carry the resolution as float32: the shortest number that means the same is what was meant.
     grid = replace(grid, resolution=float(str(np.float32(grid.resolution))))
     path = Path(f"{name}.yaml")

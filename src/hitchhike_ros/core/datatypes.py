@@ -18,6 +18,9 @@ BoolArray = npt.NDArray[np.bool_]
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
+# A place in m or an angle in rad, neither infinite nor beyond any map.
+Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+Variance = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 Seed = Annotated[int, msgspec.Meta(ge=0)]
 UnitInterval = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Side = Literal["left", "right"]

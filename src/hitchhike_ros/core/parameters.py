@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -81,7 +82,32 @@ def load_parameters(
             raise ParameterError(file, section, content, "a mapping of parameters")
         convert(content, cls, file, section)
     merged = {**content, **(overrides or {})}
-    return convert(merged, cls, "private parameters" if overrides else (file or "defaults"), section)
+    source = "private parameters" if overrides else (file or "defaults")
+    parameters = convert(merged, cls, source, section)
+    for name in merged:
+        require_finite(getattr(parameters, name), source, f"{section}.{name}")
+    return parameters
+
+
+def require_finite(value: object, file: object, field: str, error: type[InputFileError] = ParameterError) -> None:
+    """Raises ``error`` where a number in ``value``, a number, a tuple, a mapping or a dataclass, is not finite."""
+    for name, number in _numbers(value, field):
+        if not math.isfinite(number):
+            raise error(file, name, number, "a finite number")
+
+
+def _numbers(value: object, name: str) -> Iterable[tuple[str, float]]:
+    if isinstance(value, float):
+        yield name, value
+    elif isinstance(value, tuple):
+        for i, item in enumerate(value):
+            yield from _numbers(item, f"{name}[{i}]")
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _numbers(item, f"{name}.{key}")
+    elif is_dataclass(value):
+        for f in fields(value):
+            yield from _numbers(getattr(value, f.name), f"{name}.{f.name}")
 
 
 def _expected(message: str, cls: type, path: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,6 +13,12 @@ import numpy as np
 from hitchhike_ros.core.datatypes import FloatArray, Positive
 from hitchhike_ros.core.errors import RobotModelError
 from hitchhike_ros.core.geometry import matrix_from_xyz_rpy
+
+_MAX_BYTES = 10_000_000
+# In m, and in rad; beyond it is no robot but a slip.
+_MAX_COORDINATE = 1000.0
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+_NO_XACRO = "a URDF, not the text that xacro makes one of: xacro FILE.xacro > FILE.urdf"
 
 
 @dataclass(frozen=True)
@@ -46,32 +54,104 @@ def fixed_transforms(urdf: Path | str) -> dict[str, FloatArray]:
     """T_base_link (4, 4) of every link that hangs on ``base_footprint`` by fixed joints, from a URDF file.
 
     Raises:
-        RobotModelError: the file cannot be read, is not XML or has no ``base_footprint``.
+        RobotModelError: the file cannot be read, is no URDF, its joints are no tree, one of them has a senseless
+            origin, or there is no ``base_footprint``.
     """
-    try:
-        root = ElementTree.parse(urdf).getroot()
-    except (OSError, ElementTree.ParseError) as exc:
-        raise RobotModelError(urdf, "", str(exc), "a readable URDF file") from exc
-    children: dict[str, list[tuple[str, FloatArray]]] = {}
-    for joint in root.iter("joint"):
-        parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
-        if joint.get("type") != "fixed" or parent is None or child is None:
-            continue
-        xyz, rpy = (
-            tuple(float(v) for v in (origin.get(key, "0 0 0") if origin is not None else "0 0 0").split())
-            for key in ("xyz", "rpy")
-        )
-        T = matrix_from_xyz_rpy(xyz, rpy)  # type: ignore[arg-type]
-        children.setdefault(str(parent.get("link")), []).append((str(child.get("link")), T))
-    if "base_footprint" not in {link.get("name") for link in root.iter("link")}:
+    root = _read_urdf(urdf)
+    links = _names(root, urdf)
+    if "base_footprint" not in links:
         raise RobotModelError(urdf, "link", "missing", "a link named base_footprint")
+    fixed: dict[str, list[tuple[str, FloatArray]]] = {}
+    parents: dict[str, str] = {}
+    for i, joint in enumerate(root.findall("joint")):
+        field = f"joint {joint.get('name', i)}"
+        parent, child = (_end(joint, end, links, urdf, field) for end in ("parent", "child"))
+        if child in parents:
+            raise RobotModelError(urdf, f"{field}: child", child, "a link that no other joint leads to")
+        parents[child] = parent
+        T = _origin(joint.find("origin"), urdf, field)
+        if joint.get("type") == "fixed":
+            fixed.setdefault(parent, []).append((child, T))
+    _check_tree(parents, urdf)
     transforms, open_links = {"base_footprint": np.eye(4)}, ["base_footprint"]
     while open_links:
-        parent_name = open_links.pop()
-        for child_name, T in children.get(parent_name, []):
-            transforms[child_name] = transforms[parent_name] @ T
-            open_links.append(child_name)
+        parent = open_links.pop()
+        for child, T in fixed.get(parent, []):
+            transforms[child] = transforms[parent] @ T
+            open_links.append(child)
     return transforms
+
+
+def _read_urdf(urdf: Path | str) -> ElementTree.Element:
+    try:
+        with Path(urdf).open("rb") as file:
+            text = file.read(_MAX_BYTES + 1)
+        if len(text) > _MAX_BYTES:
+            raise RobotModelError(urdf, "", "larger", f"a URDF file of at most {_MAX_BYTES} bytes")
+        root = ElementTree.fromstring(text)
+    except (OSError, ElementTree.ParseError, LookupError, ValueError) as exc:  # the last two: an unknown encoding
+        if isinstance(exc, ElementTree.ParseError) and b"<xacro:" in text:
+            raise RobotModelError(urdf, "", "xacro text", _NO_XACRO) from exc
+        raise RobotModelError(urdf, "", str(exc), "a readable URDF file") from exc
+    if root.tag != "robot":
+        raise RobotModelError(urdf, "", f"<{root.tag}>", "a URDF, whose first element is <robot>")
+    for element in root.iter():
+        if isinstance(element.tag, str) and "xacro" in element.tag.rpartition("}")[0]:
+            raise RobotModelError(urdf, "", f"<xacro:{element.tag.rpartition('}')[2]}>", _NO_XACRO)
+    return root
+
+
+def _names(root: ElementTree.Element, urdf: Path | str) -> set[str]:
+    """Names of the links."""
+    names: set[str] = set()
+    for link in root.findall("link"):
+        name = link.get("name")
+        if not name or name in names:
+            raise RobotModelError(urdf, "link", name, "a name that no other link has")
+        if "${" in name or "$(" in name:
+            raise RobotModelError(urdf, "link", name, _NO_XACRO)
+        names.add(name)
+    return names
+
+
+def _end(joint: ElementTree.Element, end: str, links: set[str], urdf: Path | str, field: str) -> str:
+    element = joint.find(end)
+    link = None if element is None else element.get("link")
+    if link is None or link not in links:
+        raise RobotModelError(urdf, f"{field}: {end}", link, "the name of one of the links")
+    return link
+
+
+def _origin(origin: ElementTree.Element | None, urdf: Path | str, field: str) -> FloatArray:
+    """T_parent_child (4, 4) of an element ``origin``; without one they are the same."""
+    triples = []
+    for key, unit in (("xyz", "m"), ("rpy", "rad")):
+        text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
+        numbers = text.split()
+        if len(numbers) != 3 or not all(_NUMBER.fullmatch(number) for number in numbers):
+            raise RobotModelError(
+                urdf, f"{field}: origin {key}", text, _NO_XACRO if "$" in text else f"three numbers in {unit}"
+            )
+        x, y, z = (float(number) for number in numbers)
+        if not max(abs(x), abs(y), abs(z)) <= _MAX_COORDINATE:
+            expected = f"three numbers of at most {_MAX_COORDINATE:g} {unit}"
+            raise RobotModelError(urdf, f"{field}: origin {key}", text, expected)
+        triples.append((x, y, z))
+    return matrix_from_xyz_rpy(*triples)
+
+
+def _check_tree(parents: Mapping[str, str], urdf: Path | str) -> None:
+    """Raises RobotModelError where joints form a ring; each link has one parent at most."""
+    sound: set[str] = set()
+    for start in parents:
+        link, above = start, dict[str, None]()
+        while link in parents and link not in sound:
+            if link in above:
+                ring = [*above][[*above].index(link) :]
+                raise RobotModelError(urdf, "joint", " < ".join([*ring, link]), "a tree of links, not a ring")
+            above[link] = None
+            link = parents[link]
+        sound.update(above)
 
 
 def mount(urdf: Path | str, link: str) -> FloatArray:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from hitchhike_ros.core.datatypes import HitchhikingPoint, Marker
 from hitchhike_ros.core.errors import WorldFileError
 from hitchhike_ros.core.geometry import point_in_polygon
-from hitchhike_ros.core.parameters import convert, read_yaml
+from hitchhike_ros.core.parameters import convert, read_yaml, require_finite
 
 T = TypeVar("T")
 
@@ -121,9 +120,7 @@ def read_entry(value: object, cls: type[T], path: Path | str, field: str) -> T:
         WorldFileError: as :func:`load_sites`.
     """
     entry = convert(value, cls, path, field, WorldFileError)
-    for name, number in _numbers(entry, field):
-        if not math.isfinite(number):
-            raise WorldFileError(path, name, number, "a finite number")
+    require_finite(entry, path, field, WorldFileError)
     return entry
 
 
@@ -134,17 +131,6 @@ def require_unique(values: Iterable[object], key: str, field: str, path: Path | 
         if value in seen:
             raise WorldFileError(path, f"{key}[{i}].{field}", value, "a value that no other entry has")
         seen.add(value)
-
-
-def _numbers(value: object, name: str) -> Iterable[tuple[str, float]]:
-    if isinstance(value, float):
-        yield name, value
-    elif isinstance(value, tuple):
-        for i, item in enumerate(value):
-            yield from _numbers(item, f"{name}[{i}]")
-    elif is_dataclass(value):
-        for f in fields(value):
-            yield from _numbers(getattr(value, f.name), f"{name}.{f.name}")
 
 
 def _merged(path: Path, over: tuple[Path, ...]) -> dict[str, Any]:

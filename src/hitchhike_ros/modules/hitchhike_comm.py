@@ -115,6 +115,7 @@ class HitchhikeComm:
         self._events: deque[object] = deque()
         self._answer_now = False
         self._grid: OccupancyGrid | None = None
+        self._no_map = "no map received"
         self._estimate: Fresh[PoseEstimate] = Fresh("pose", _ESTIMATE_AGE_S)
         self._told: PoseEstimate | None = None  # as feedback
         self._odometry = PoseBuffer()
@@ -173,6 +174,8 @@ class HitchhikeComm:
                 self._refuse(x.sender, x.reason, now)
                 if x.what is Odometry:
                     self._lose_odometry()
+                elif x.what is OccupancyGrid:
+                    self._no_map = f"no map received, only one that was refused: {x.reason}"
 
     def order(self, order: Order, now: float) -> None:
         """Somebody wants this robot at a goal, or no longer."""
@@ -287,10 +290,10 @@ class HitchhikeComm:
             **{f"dropped_{cause}": count for cause, count in self._inbox.dropped.items()},
         }
         if self._grid is None:
-            return Health(Level.ERROR, "no map received", counters)
+            return Health(Level.ERROR, self._no_map, counters)
         return Health(Level.OK, status.state, counters)
 
     def _plan(self, start: Pose2D, goal: Pose2D) -> FloatArray:
         if self._grid is None:
-            raise PlanningError("no map received yet")
+            raise PlanningError(self._no_map)
         return self._planner.plan(self._grid, start, goal)

@@ -90,6 +90,7 @@ class PathPlanning:
         alone = Status(0.0, self.name, modules=ModuleSwitches(OBS=False, LZN=False, MAP=False, COM=False))
         self._orders = Orders(alone if always_on else None)
         self._grid: OccupancyGrid | None = None
+        self._no_map = "no map received"
         self._estimate: Fresh[PoseEstimate] = Fresh("pose estimate", params.pose_age_s)
         self._navigation: NavigationReport | None = None
         self._refused = dict.fromkeys(_COUNTERS.values(), 0)
@@ -133,6 +134,9 @@ class PathPlanning:
             self._navigation = x
         elif isinstance(x, Refused):
             self._refuse(x.what)
+            if x.what is OccupancyGrid:
+                self._no_map = f"no map received, only one that was refused: {x.reason}"
+                self._news |= self._lacks_input
 
     def order(self, order: Order, now: float) -> None:
         """The status says whether the module is on, and the goal."""
@@ -186,7 +190,7 @@ class PathPlanning:
         if not self.on:
             raise StaleInputError("path planning is off")
         if self._grid is None:
-            raise StaleInputError("no map received")
+            raise StaleInputError(self._no_map)
         start = self._estimate.at(now).pose if start is None else start
         if tolerance_m > 0.0 and math.isfinite(tolerance_m):
             goal = self._planner.relax(self._grid, goal, tolerance_m)
@@ -218,7 +222,7 @@ class PathPlanning:
         if grid is None or estimate is None:
             self._lacks_input = True
             if self._plan.goal != goal or self._plan.state == "waiting":
-                self._settle(_Plan("waiting", goal, "no map received" if grid is None else "no recent pose estimate"))
+                self._settle(_Plan("waiting", goal, self._no_map if grid is None else "no recent pose estimate"))
             return
         self._planned_at, self._planned_on = now, grid
         try:

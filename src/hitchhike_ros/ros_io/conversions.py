@@ -26,7 +26,7 @@ from std_msgs.msg import Header
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.stamps import split
-from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.grid import OCCUPIED, UNKNOWN, OccupancyGrid
 
 # Rows and columns of (x, y, yaw) in a ROS 6 x 6 covariance.
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
@@ -156,12 +156,24 @@ def path_to_msg(points: FloatArray, goal: Pose2D, stamp: float, frame_id: str = 
 
 
 def grid_from_msg(msg: OccupancyGridMsg) -> OccupancyGrid:
-    """Raises SensorDataError when it has no cells or not as many as it says, or its place is senseless."""
-    try:
-        data = np.array(msg.data, dtype=np.int8).reshape(msg.info.height, msg.info.width)
-        return OccupancyGrid(data=data, resolution=msg.info.resolution, origin=pose_from_msg(msg.info.origin))
-    except ValueError as exc:
-        raise SensorDataError(f"map: {exc}") from exc
+    """The grid of a message. Values that mean nothing are unknown, and an orientation of zeros alone is none at all.
+
+    Raises:
+        SensorDataError: it has no cells or not as many as it says, or its size or place is senseless.
+    """
+    info, count = msg.info, len(msg.data)
+    if info.width * info.height == 0 or info.width * info.height != count:
+        raise SensorDataError(f"map has {info.width} x {info.height} cells and {count} values, expected one for each")
+    q = info.origin.orientation
+    place = Pose(info.origin.position, q if any((q.x, q.y, q.z, q.w)) else Quaternion(0.0, 0.0, 0.0, 1.0))
+    origin, values = pose_from_msg(place), np.array(msg.data, dtype=np.int8).reshape(info.height, info.width)
+    if not (0.0 < info.resolution < math.inf):
+        raise SensorDataError(f"map has a resolution of {info.resolution}, expected a number of metres above 0")
+    if not origin.is_finite():
+        raise SensorDataError(f"map has its origin at {origin}, expected finite x, y and yaw")
+    values[(values > OCCUPIED) | (values < UNKNOWN)] = UNKNOWN
+    values.setflags(write=False)
+    return OccupancyGrid(values, info.resolution, origin)
 
 
 def map_info(grid: OccupancyGrid, stamp: float) -> MapMetaData:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
+import msgspec
+import rosgraph.names
 import rospy
 from nav_msgs.srv import GetMap
 
-from hitchhike_ros.core.datatypes import FloatArray, Positive
-from hitchhike_ros.core.errors import HitchhikeError, WorldFileError
+from hitchhike_ros.core.datatypes import FloatArray
+from hitchhike_ros.core.errors import HitchhikeError, ParameterError, WorldFileError
 from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.core.robot_model import fixed_transforms, mount
 from hitchhike_ros.mapping.grid import OccupancyGrid
@@ -17,9 +19,11 @@ from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.mapping.sites import Sites, load_hitchhiking, load_sites
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.ros_io.conversions import grid_from_msg
-from hitchhike_ros.ros_io.parameters import given, is_given, node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import given, is_given, node_parameters, parameter, path_parameter
 
 T = TypeVar("T")
+
+_Patience = Annotated[float, msgspec.Meta(gt=0, le=86400)]
 
 
 class NodeFiles:
@@ -33,8 +37,16 @@ class NodeFiles:
 
     @property
     def robot_id(self) -> str:
-        """The robot's name in the protocol."""
-        return str(given("robot_id", rospy.get_namespace().strip("/")))
+        """The robot's name in the protocol.
+
+        Raises:
+            ParameterError: neither the parameter nor the namespace is one.
+        """
+        name = given("robot_id", rospy.get_namespace().strip("/"))
+        if not isinstance(name, str) or not name or not rosgraph.names.is_legal_name(name):
+            expected = "a robot's name of letters, digits and _: the node's namespace, __ns:=ROBOT, or this parameter"
+            raise ParameterError(rospy.get_name(), "~robot_id", name, expected)
+        return name
 
     @property
     def first_seq(self) -> int:
@@ -56,7 +68,7 @@ class NodeFiles:
         """
         if is_given("map"):
             return load_map(path_parameter("map"))
-        timeout_s = convert(given("map_timeout_s", 60.0), Positive, rospy.get_name(), "~map_timeout_s")
+        timeout_s = parameter("map_timeout_s", _Patience, 60.0)
         try:
             rospy.wait_for_service("static_map", timeout_s)
             return grid_from_msg(rospy.ServiceProxy("static_map", GetMap)().map)

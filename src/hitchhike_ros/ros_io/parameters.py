@@ -7,6 +7,7 @@ the parameters ``SECTION/FIELD`` of the robot's namespace, then private ones wit
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -16,7 +17,7 @@ import rosgraph.names
 import rospy
 
 from hitchhike_ros.core.errors import ParameterError
-from hitchhike_ros.core.parameters import load_parameters
+from hitchhike_ros.core.parameters import convert, load_parameters
 
 T = TypeVar("T")
 
@@ -24,6 +25,15 @@ T = TypeVar("T")
 def given(name: str, default: Any = None) -> Any:
     """The node's private parameter ``name``, or else the one of the robot's namespace, or else ``default``."""
     return rospy.get_param(f"~{name}") if rospy.has_param(f"~{name}") else rospy.get_param(name, default)
+
+
+def parameter(name: str, cls: type[T], default: object) -> T:
+    """The parameter ``name``, as of :func:`given`, as a checked ``cls``.
+
+    Raises:
+        ParameterError: names the parameter, its value and what was expected.
+    """
+    return convert(given(name, default), cls, rospy.get_name(), f"~{name}")
 
 
 def is_given(name: str) -> bool:
@@ -42,7 +52,7 @@ def node_parameters(cls: type[T], section: str, changes: Mapping[str, object] | 
         for name in (f"{section}/{field.name}", f"~{field.name}"):
             if rospy.has_param(name):
                 overrides[field.name] = rospy.get_param(name)
-    return load_parameters(cls, section, given("config", "") or None, overrides)
+    return load_parameters(cls, section, path_parameter("config") if given("config", "") != "" else None, overrides)
 
 
 def private_parameters(*names: str) -> dict[str, object]:
@@ -57,10 +67,9 @@ def path_parameter(name: str) -> Path:
         ParameterError: the parameter is missing or names no file.
     """
     value = given(name, "")
-    path = Path(str(value))
-    if not value or not path.is_file():
+    if not isinstance(value, str) or not os.path.isfile(value):  # Path.is_file raises where a name is too long
         raise ParameterError(rospy.get_name(), f"~{name}", value, "the path of an existing file")
-    return path
+    return Path(value)
 
 
 def folder_parameter(name: str) -> Path:
@@ -69,14 +78,14 @@ def folder_parameter(name: str) -> Path:
     Raises:
         ParameterError: the parameter is missing, or the folder cannot be made.
     """
-    value = str(rospy.get_param(f"~{name}", ""))
-    if not value:
+    value = rospy.get_param(f"~{name}", "")
+    if not isinstance(value, str) or not value:
         raise ParameterError(rospy.get_name(), f"~{name}", value, "the path of a folder")
     path = Path(value)
     try:
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise ParameterError(rospy.get_name(), f"~{name}", value, f"a folder to write to ({exc.strerror})") from exc
+    except (OSError, ValueError) as exc:
+        raise ParameterError(rospy.get_name(), f"~{name}", value, f"a folder to write to ({exc})") from exc
     return path
 
 
@@ -93,8 +102,15 @@ def network_topic(name: str) -> str:
 
 
 def frame(name: str) -> str:
-    """``<robot>/name``: the robot's frames carry ``~tf_prefix``, by default the node's namespace."""
-    prefix = str(given("tf_prefix", rospy.get_namespace())).strip("/")
+    """``<robot>/name``: the robot's frames carry ``~tf_prefix``, by default the node's namespace.
+
+    Raises:
+        ParameterError: the parameter is no name.
+    """
+    prefix = given("tf_prefix", rospy.get_namespace())
+    if not isinstance(prefix, str) or not rosgraph.names.is_legal_name(prefix):
+        raise ParameterError(rospy.get_name(), "~tf_prefix", prefix, "the beginning of the names of frames")
+    prefix = prefix.strip("/")
     return f"{prefix}/{name}" if prefix else name
 
 

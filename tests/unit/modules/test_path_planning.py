@@ -181,12 +181,17 @@ def test_a_way_that_a_new_obstacle_closes_is_given_up() -> None:
     ("there", "reason", "comes"),
     [
         ([pose(1.0, 9.9)], "no map received", GRID),
+        (
+            [Refused(OccupancyGrid, "map has 0 x 0 cells", "/map_server"), pose(1.0, 9.9)],
+            "no map received, only one that was refused: map has 0 x 0 cells",
+            GRID,
+        ),
         ([GRID], "no recent pose estimate", pose(1.0, 10.2)),
         ([GRID, pose(1.0, 8.9)], "no recent pose estimate", pose(1.0, 10.2)),
         ([GRID, pose(1.0, 11.5)], "no recent pose estimate", pose(1.0, 10.2)),  # the clock was set back
         ([GRID, replace(pose(1.0, 10.0), pose=Pose2D(math.nan))], "no recent pose estimate", pose(1.0, 10.2)),
     ],
-    ids=["no map", "no pose", "old pose", "pose to come", "senseless pose"],
+    ids=["no map", "refused map", "no pose", "old pose", "pose to come", "senseless pose"],
 )
 def test_it_waits_for_what_is_missing(there: list[object], reason: str, comes: object) -> None:
     its = module()

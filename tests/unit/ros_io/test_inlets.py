@@ -116,6 +116,43 @@ def test_a_map_arrives_and_a_senseless_one_is_refused() -> None:
             convert(msg)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"width": 0, "height": 0}, "0 x 0 cells and 6 values"),
+        ({"width": 2**16, "height": 2**16}, "65536 x 65536 cells and 6 values"),
+        ({"width": 4}, "4 x 2 cells and 6 values"),
+        ({"height": 1}, "3 x 1 cells and 6 values"),
+        ({"resolution": math.nan}, "resolution of nan"),
+        ({"resolution": math.inf}, "resolution of inf"),
+        ({"resolution": -0.05}, "resolution of -0.05"),
+    ],
+)
+def test_of_a_senseless_map_it_is_said_what_is_wrong(change: dict[str, float], said: str) -> None:
+    msg = grid_to_msg(OccupancyGrid(np.zeros((2, 3)), 0.05), 0.0)
+    for name, value in change.items():
+        setattr(msg.info, name, value)
+    with pytest.raises(SensorDataError, match=f"^map has .*{said}.*, expected"):
+        INLETS[OccupancyGrid].convert(msg)
+
+
+def test_a_map_without_orientation_is_not_turned() -> None:
+    grid = OccupancyGrid(np.arange(6).reshape(2, 3), 0.05, Pose2D(1.0, 2.0, 0.5))
+    msg = grid_to_msg(grid, 0.0)
+    msg.info.origin.orientation.z = msg.info.origin.orientation.w = 0.0
+    assert INLETS[OccupancyGrid].convert(msg).origin == Pose2D(1.0, 2.0, 0.0)
+    for bad in (math.nan, math.inf):
+        msg.info.origin.orientation.w = bad
+        with pytest.raises(SensorDataError, match="map has its origin at"):
+            INLETS[OccupancyGrid].convert(msg)
+
+
+def test_values_that_mean_nothing_are_unknown() -> None:
+    msg = grid_to_msg(OccupancyGrid(np.zeros((1, 6)), 0.05), 0.0)
+    msg.data = [-128, -2, -1, 100, 101, 127]
+    assert INLETS[OccupancyGrid].convert(msg).data.tolist() == [[-1, -1, -1, 100, -1, -1]]
+
+
 def test_a_depth_image_is_converted_when_it_is_looked_at() -> None:
     depth = np.array([(1.0, np.nan), (0.25, 2.0)], np.float32)
     arrived = INLETS[DepthImage].convert(image_to_msg(depth, 7.5, "camera", "32FC1"))

@@ -29,6 +29,7 @@ from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.ros_io.conversions import grid_to_msg
 from hitchhike_ros.ros_io.node import OK, Diagnostics, DiagnosticsUpdater, run
+from hitchhike_ros.ros_io.parameters import parameter
 
 
 class MapServer:
@@ -38,7 +39,7 @@ class MapServer:
         self, path: str, grid: OccupancyGrid, updater: DiagnosticsUpdater | None = None, topic: str = "map"
     ) -> None:
         """``grid`` is the map of the file ``path``; ``updater`` publishes that it is served."""
-        self._msg = grid_to_msg(grid, rospy.Time.now().to_sec(), str(rospy.get_param("~frame_id", "map")))
+        self._msg = grid_to_msg(grid, rospy.Time.now().to_sec(), parameter("frame_id", str, "map"))
         self._diagnostics = Diagnostics("map_server", updater)
         self._diagnostics.set(
             OK, "serving", file=path, width=grid.width, height=grid.height, resolution=grid.resolution
@@ -57,8 +58,8 @@ class MapServer:
 def build() -> MapServer:
     """The node's only part."""
     arguments = rospy.myargv(sys.argv)[1:]
-    path = str(arguments[0] if arguments else rospy.get_param("~map", ""))
-    if not path:
+    path = arguments[0] if arguments else rospy.get_param("~map", "")
+    if not isinstance(path, str) or not path:
         raise ParameterError(rospy.get_name(), "~map", path, "a map_server YAML file, here or as the argument")
     return MapServer(path, load_map(path))
 

@@ -39,11 +39,12 @@ from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
 from hitchhike_ros.ros_io.outlets import outlets, path_of
+from hitchhike_ros.ros_io.parameters import parameter
 
 
 def build() -> ModuleHost:
     """The node's host."""
-    always_on = bool(rospy.get_param("~always_on", False))
+    always_on = parameter("always_on", bool, False)
     module = PathPlanning.build(NodeFiles(), always_on=always_on)
     host = ModuleHost(Single(module), {module.name: outlets(module.name)}, orders=not always_on)
     serve_make_plan(host, module)

@@ -17,7 +17,6 @@ TF: as of slam.
 
 from __future__ import annotations
 
-from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.modules.path_planning import PathPlanning
 from hitchhike_ros.modules.robot import build as build_robot
 from hitchhike_ros.modules.slam import Slam
@@ -29,13 +28,13 @@ from hitchhike_ros.ros_io.host import ModuleHost
 from hitchhike_ros.ros_io.node import DiagnosticsUpdater, run
 from hitchhike_ros.ros_io.node_files import NodeFiles
 from hitchhike_ros.ros_io.outlets import outlets
-from hitchhike_ros.ros_io.parameters import given, is_given
+from hitchhike_ros.ros_io.parameters import given, is_given, parameter
 
 
 def build() -> ModuleHost:
     """The node's host."""
     files = NodeFiles()
-    map_3d = convert(given("map_3d", False), bool, "private parameters", "~map_3d")
+    map_3d = parameter("map_3d", bool, False)
     robot = build_robot(files, localization_method(), map_3d=map_3d)
     slam, planning = robot.modules["slam"], robot.modules["path_planning"]
     assert isinstance(slam, Slam)

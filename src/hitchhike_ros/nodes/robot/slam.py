@@ -43,9 +43,8 @@ import numpy as np
 import rospy
 from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 
-from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.core.datatypes import Coordinate, Pose2D, PoseEstimate, Variance
 from hitchhike_ros.core.errors import HitchhikeError, ParameterError
-from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.localization.methods import Method
 from hitchhike_ros.modules.inputs import InitialPose
 from hitchhike_ros.modules.slam import Slam
@@ -53,12 +52,12 @@ from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
 from hitchhike_ros.ros_io.outlets import outlets
-from hitchhike_ros.ros_io.parameters import given, is_given
+from hitchhike_ros.ros_io.parameters import given, is_given, parameter
 
 
 def build() -> ModuleHost:
     """The node's host."""
-    slam = Slam.build(NodeFiles(), method=localization_method(), alone=bool(rospy.get_param("~always_on", False)))
+    slam = Slam.build(NodeFiles(), method=localization_method(), alone=parameter("always_on", bool, False))
     start_from_parameters(slam)
     host = ModuleHost(Single(slam), {slam.name: outlets(slam.name)})
     serve_global_localization(host, slam)
@@ -115,11 +114,9 @@ def _initial_pose() -> PoseEstimate | None:
     if len(named) < len(names):
         missing = next(name for name in names if name not in named)
         raise ParameterError(rospy.get_name(), f"~{missing}", None, "a number, as the other two are given")
-    x, y, a = (convert(given(name), float, rospy.get_name(), f"~{name}") for name in names)
+    x, y, a = (parameter(name, Coordinate, None) for name in names)
     defaults = {"xx": 0.25, "yy": 0.25, "aa": (math.pi / 12.0) ** 2}
-    variances = [
-        convert(given(f"initial_cov_{k}", v), float, rospy.get_name(), f"~initial_cov_{k}") for k, v in defaults.items()
-    ]
+    variances = [parameter(f"initial_cov_{k}", Variance, v) for k, v in defaults.items()]
     return PoseEstimate(rospy.get_time(), Pose2D(x, y, a), np.diag(variances))
 
 

@@ -54,7 +54,7 @@ from hitchhike_ros.ros_io.host import ModuleHost, Single
 from hitchhike_ros.ros_io.node import run
 from hitchhike_ros.ros_io.node_files import NodeFiles
 from hitchhike_ros.ros_io.outlets import outlets
-from hitchhike_ros.ros_io.parameters import is_given, private_parameters
+from hitchhike_ros.ros_io.parameters import is_given, parameter, private_parameters
 
 
 def build() -> ModuleHost:
@@ -63,7 +63,7 @@ def build() -> ModuleHost:
     module = VisualServoing.build(
         NodeFiles(),
         follows=is_given("config"),
-        alone=own if rospy.get_param("~always_on", False) else None,
+        alone=own if parameter("always_on", bool, False) else None,
         where=rospy.get_name(),
     )
     return ModuleHost(Single(module), {module.name: outlets(module.name)})

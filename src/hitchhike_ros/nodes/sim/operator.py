@@ -30,12 +30,11 @@ import rospy
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 
 from hitchhike_ros.core.datatypes import Pose2D
-from hitchhike_ros.core.errors import HitchhikeError
-from hitchhike_ros.core.parameters import convert
+from hitchhike_ros.core.errors import HitchhikeError, ParameterError
 from hitchhike_ros.experiments.scenarios.robot_starts import RobotStart, RobotStarts, StartParameters
 from hitchhike_ros.ros_io.conversions import estimate_to_msg, pose_stamped
 from hitchhike_ros.ros_io.node import run
-from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import node_parameters, parameter, path_parameter
 from hitchhike_ros.simulation.world_file import load_world
 
 
@@ -46,11 +45,12 @@ class Operator:
         self._params = node_parameters(StartParameters, "operator")
         self._deadline = time.monotonic() + self._params.deadline_s
         chosen = str(rospy.get_param("~robots", "")).split()
-        goals = {
-            name: convert(goal, Pose2D, rospy.get_name(), f"~goals.{name}")
-            for name, goal in dict(rospy.get_param("~goals", {})).items()
-        }
-        starts = RobotStarts(load_world(path_parameter("world")).robots, goals, chosen, self._params)
+        goals = parameter("goals", dict[str, Pose2D], {})
+        entries = load_world(path_parameter("world")).robots
+        for name, names in (("robots", chosen), ("goals", goals)):
+            if set(names) - set(entries):
+                raise ParameterError(rospy.get_name(), f"~{name}", list(names), f"some of {', '.join(entries)}")
+        starts = RobotStarts(entries, goals, chosen, self._params)
         robots = {name: _Robot(name, start) for name, start in starts.robots.items()}
         watcher = str(rospy.get_param("~watcher", ""))
         topics = [f"/{name}/hhike_msg/status" for name in robots]

@@ -32,7 +32,8 @@ import rosgraph
 import rospkg
 import rospy
 
-from hitchhike_ros.core.datatypes import Positive
+from hitchhike_ros.core.datatypes import Positive, Seed
+from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.experiments.report.ride_files import RideEnd, write_files
 from hitchhike_ros.experiments.report.ride_frames import FramePlan, frames_due
 from hitchhike_ros.experiments.report.ride_report import change, live_line, progress
@@ -72,7 +73,7 @@ class RideMonitor:
         self._world = load_world(path_parameter("world"))
         self._output = folder_parameter("output")
         self._package = Path(rospkg.RosPack().get_path("hitchhike_ros"))
-        seed = int(rospy.get_param("/simulator/seed", 0))
+        seed = convert(rospy.get_param("/simulator/seed", 0), Seed, rospy.get_name(), "/simulator/seed")
         self._recorder = RideRecorder.of_world(self._world, seed, self._package)
         self._record = self._recorder.record
         self._topics = RecordedTopics(self._recorder)

@@ -35,6 +35,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path as PathMsg
 from std_msgs.msg import String
 
+from hitchhike_ros.core.datatypes import Positive
 from hitchhike_ros.core.errors import HitchhikeError, MessageError, ParameterError
 from hitchhike_ros.experiments.scenarios.scripted_human import (
     DrivenRobot,
@@ -47,7 +48,7 @@ from hitchhike_ros.nodes.sim.teleop_terminal import TeleopTerminal
 from hitchhike_ros.protocol.status import decode_status
 from hitchhike_ros.ros_io.conversions import estimate_from_msg, path_from_msg
 from hitchhike_ros.ros_io.node import run
-from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import node_parameters, parameter, path_parameter
 from hitchhike_ros.simulation.world_file import load_world
 
 
@@ -56,7 +57,7 @@ class ScriptedOperator:
 
     def __init__(self) -> None:
         world = load_world(path_parameter("world"))
-        self._deadline = time.monotonic() + float(rospy.get_param("~deadline_s", 900.0))
+        self._deadline = time.monotonic() + parameter("deadline_s", Positive, 900.0)
         wanted = [name for name, entry in world.robots.items() if entry.goal is not None]
         drives = str(rospy.get_param("~drives", "")).split()
         if not drives or set(drives) - set(wanted):

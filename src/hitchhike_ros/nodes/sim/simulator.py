@@ -57,11 +57,10 @@ from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, Trig
 from tf2_msgs.msg import TFMessage
 
 from hitchhike_ros.core.datatypes import Seed
-from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.nodes.sim.robot_topics import RobotTopics, publisher
 from hitchhike_ros.ros_io.conversions import to_stamp
 from hitchhike_ros.ros_io.node import OK, WARN, Diagnostics, run
-from hitchhike_ros.ros_io.parameters import node_parameters, path_parameter
+from hitchhike_ros.ros_io.parameters import node_parameters, parameter, path_parameter
 from hitchhike_ros.simulation.frames import FrameParameters, Frames, Gate, SubRates
 from hitchhike_ros.simulation.lockstep import Lockstep
 from hitchhike_ros.simulation.physics.world import World, WorldParameters
@@ -78,15 +77,15 @@ class Simulator:
         world_params = node_parameters(WorldParameters, "simulator")
         rates = SubRates(params, world_params.physics_rate_hz, rospy.get_name())
         package = rospy.get_param("~package", "") or rospkg.RosPack().get_path("hitchhike_ros")
-        on_system_clock = bool(rospy.get_param("~system_clock", rospy.get_param("/system_clock", False)))
+        on_system_clock = parameter("system_clock", bool, rospy.get_param("/system_clock", False))
         self._time = SystemTime(time.time()) if on_system_clock else RealTime(params.max_real_time_factor)
-        seed = convert(rospy.get_param("~seed", 0), Seed, rospy.get_name(), "~seed")
+        seed = parameter("seed", Seed, 0)
         world, start_s = path_parameter("world"), self._time.start_s
         self._world = World(world, seed, world_params, package=Path(str(package)), start_s=start_s)
         self._report = SimulatorReport(params.print_period_s)
         self._diagnostics = Diagnostics("simulator")
         self._diagnostics.set(OK, "running", contacts=0, lockstep_misses=0)
-        in_lockstep = not on_system_clock and rospy.get_param("~lockstep", rospy.get_param("/lockstep", False))
+        in_lockstep = not on_system_clock and parameter("lockstep", bool, rospy.get_param("/lockstep", False))
         self._gate = Gate(Lockstep(params.answer_timeout_s, params.join_timeout_s)) if in_lockstep else None
         self._robots = [RobotTopics(robot, self._diagnostics, self._gate) for robot in self._world.robots.values()]
         self._clock = None if on_system_clock else publisher("/clock", Clock)
