@@ -122,6 +122,7 @@ class Bench:
     now: float = 1000.0
     pose: Pose2D | None = WEST.aligning_pose
     speed: float = 0.0
+    yaw_rate: float = 0.0
     gap: float | None = None  # from the camera to the driver's marker, None: not in view
     navigation: str | None = None  # what obstacle avoidance says of the present goal
     obstacles: tuple[Obstacle, ...] = ()
@@ -175,7 +176,7 @@ class Bench:
         if self.gap is not None:
             seen = MarkerObservation(self.now, 0, Pose2D(CAMERA[0] + self.gap, 0.0, math.pi), np.array(SIGMA))
         estimate = None if self.pose is None else PoseEstimate(self.now, self.pose, np.array(SIGMA))
-        return Situation(estimate, self.speed, self.obstacles, report, seen)
+        return Situation(estimate, self.speed, self.obstacles, report, seen, yaw_rate_rps=self.yaw_rate)
 
     def take(self, cls: type | tuple[type, ...]) -> list[Any]:
         """The effects, or the messages sent, of these types since the last ``take`` or ``clear``, which forget all."""

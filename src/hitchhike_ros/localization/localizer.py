@@ -20,10 +20,11 @@ from hitchhike_ros.core.datatypes import (
     UnitInterval,
 )
 from hitchhike_ros.core.errors import SensorDataError
-from hitchhike_ros.core.geometry import between, compose, compose_jacobians, inverse
+from hitchhike_ros.core.geometry import between, compose, compose_jacobians, move
 from hitchhike_ros.core.pose_buffer import PoseBuffer, PoseBufferParameters
 from hitchhike_ros.localization.ekf import EkfParameters, check_gaussian
 from hitchhike_ros.localization.landmarks import CornerParameters
+from hitchhike_ros.localization.motion import carried
 from hitchhike_ros.localization.particle_filter import ParticleParameters
 from hitchhike_ros.localization.scan_alignment import AlignmentParameters, Count, Sight
 from hitchhike_ros.mapping.laser import EndPoints, LaserNoise, check_scan, end_points
@@ -43,6 +44,10 @@ class LocalizerParameters:
     particles: ParticleParameters = field(default_factory=ParticleParameters)
 
 
+# By this share of the motion between a pose and the first odometry after it that motion is unknown (chosen).
+_BRIDGED = 0.3
+
+
 class Localizer(ABC):
     """One robot's localization in a known map.
 
@@ -59,6 +64,7 @@ class Localizer(ABC):
         self._markers = {m.id: Pose2D(m.x, m.y, m.yaw) for m in markers}
         self._odometry = PoseBuffer(parameters.odometry)
         self._stamp = 0.0
+        self._told_at: float | None = None  # since when the estimate has had no odometry
         self._explained: float | None = None
         self._walls: FloatArray = np.zeros((3, 3))
 
@@ -96,16 +102,18 @@ class Localizer(ABC):
         Raises:
             ValueError: the pose is not finite or the covariance is no covariance.
         """
-        pose, covariance = estimate.pose, check_gaussian(estimate.pose, estimate.covariance)
-        if self._odometry and estimate.stamp >= self._odometry.oldest.stamp:
-            # A pose taken a moment ago: the robot has moved on since.
-            step = inverse(self._seen_from_now(min(estimate.stamp, self._stamp)))
-            J, _ = compose_jacobians(pose, step)
-            pose, covariance = compose(pose, step), J @ covariance @ J.T
-        elif not self._odometry:
-            self._stamp = estimate.stamp
+        covariance = check_gaussian(estimate.pose, estimate.covariance)
+        estimate = PoseEstimate(estimate.stamp, estimate.pose, covariance)
         self._start_anew()
-        self._begin(pose, covariance)
+        if not self._odometry:
+            self._stamp = self._told_at = estimate.stamp
+        else:
+            # A pose taken a moment ago: the robot has moved on since.
+            estimate = self._bridged(estimate, self._odometry.oldest)
+            newest = self._odometry.newest.stamp
+            stamp = min(max(estimate.stamp, self._odometry.oldest.stamp), newest)
+            estimate = carried(estimate, self._odometry.motion(stamp, newest), newest)
+        self._begin(estimate.pose, estimate.covariance)
 
     @property
     def twist(self) -> Twist2D:
@@ -124,6 +132,11 @@ class Localizer(ABC):
         finally:
             if self._odometry:
                 self._stamp = self._odometry.newest.stamp
+        if self._told_at is not None and self.initialised:
+            started = PoseEstimate(self._told_at, *self._gaussian())
+            bridged, self._told_at = self._bridged(started, self._odometry.newest), None
+            if bridged is not started:
+                self._begin(bridged.pose, bridged.covariance)
         if motion is not None and motion[0] != Twist2D() and self.initialised:
             self._move(*motion)
 
@@ -182,6 +195,19 @@ class Localizer(ABC):
         """Pose in the robot's ``odom`` frame at ``stamp``; raises as :meth:`estimate_at`."""
         return self._odometry.at(stamp)
 
+    def _bridged(self, told: PoseEstimate, first: Odometry) -> PoseEstimate:
+        """A pose of a time before all odometry, at the time of the ``first`` reading.
+
+        A localizer that is switched on hears its first reading a moment after its pose was taken. Until then the robot
+        went on as it goes now, more or less; after longer than odometry is kept, nothing is said of it.
+        """
+        dt_s, twist = first.stamp - told.stamp, first.twist
+        if not 0.0 < dt_s <= self._parameters.odometry.history_s or twist == Twist2D():
+            return told
+        here = carried(told, move(Pose2D(), twist, dt_s), first.stamp)
+        unknown = np.square([_BRIDGED * twist.v * dt_s, _BRIDGED * twist.v * dt_s, _BRIDGED * twist.omega * dt_s])
+        return PoseEstimate(here.stamp, here.pose, here.covariance + np.diag(unknown))
+
     def _seen_from_now(self, stamp: float, what: str = "time asked for") -> Pose2D:
         """T_now_then: where the robot was at ``stamp``, seen from where it is at the newest odometry.
 
@@ -192,7 +218,7 @@ class Localizer(ABC):
         return between(self._odometry.newest.pose, then)
 
     def _start_anew(self) -> None:
-        self._explained, self._walls = None, np.zeros((3, 3))
+        self._explained, self._walls, self._told_at = None, np.zeros((3, 3)), None
 
     def _check_initialised(self) -> None:
         if not self.initialised:

@@ -1,4 +1,7 @@
-"""Noise and Jacobians of the velocity motion model (P18 Eqs. 7-12); the motion itself is ``core.geometry.move``."""
+"""Noise and Jacobians of the velocity motion model (P18 Eqs. 7-12), and estimates carried from one time to another.
+
+The motion itself is ``core.geometry.move``.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive, Twist2D
-from hitchhike_ros.core.geometry import arc
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Pose2D, PoseEstimate, Positive, Twist2D
+from hitchhike_ros.core.geometry import arc, between, compose, compose_jacobians
 
 
 @dataclass(frozen=True)
@@ -51,3 +54,17 @@ def jacobians(theta: float, twist: Twist2D, dt_s: float) -> tuple[FloatArray, Fl
         ]
     )
     return G, V
+
+
+def carried(estimate: PoseEstimate, T_then_now: Pose2D, now: float) -> PoseEstimate:
+    """An estimate after a motion that is known exactly, as of the time ``now``."""
+    J, _ = compose_jacobians(estimate.pose, T_then_now)
+    return PoseEstimate(now, compose(estimate.pose, T_then_now), J @ estimate.covariance @ J.T)
+
+
+def carried_on(estimate: PoseEstimate, then: Pose2D | None, odom: Pose2D | None, now: float) -> PoseEstimate:
+    """An estimate of the own pose, carried by the wheels to ``now``; as it is where they do not tell.
+
+    ``then`` and ``odom`` are the own poses in ``odom``, at the estimate's time and at ``now``.
+    """
+    return estimate if then is None or odom is None else carried(estimate, between(then, odom), now)

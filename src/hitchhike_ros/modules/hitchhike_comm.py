@@ -12,6 +12,7 @@ from hitchhike_ros.core.errors import MessageError, PlanningError, SensorDataErr
 from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.localization.motion import carried_on
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, InitialPose, NetworkText, PlanReport
@@ -33,7 +34,7 @@ from hitchhike_ros.protocol.events import (
     Tick,
 )
 from hitchhike_ros.protocol.inbox import Inbox
-from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, encode
+from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, Message, encode
 from hitchhike_ros.protocol.observations import Observations
 from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
@@ -112,14 +113,14 @@ class HitchhikeComm:
         self._agent = Agent(robot_id, params, sites, self._plan, marker_pose, (camera.x, camera.y), radius_m)
         self._inbox = Inbox(robot_id)
         self._outbox = Outbox(first_seq)
-        self._events: deque[object] = deque()
+        self._events: deque[tuple[object, float]] = deque()  # and when they arrived
         self._answer_now = False
         self._grid: OccupancyGrid | None = None
         self._no_map = "no map received"
         self._estimate: Fresh[PoseEstimate] = Fresh("pose", _ESTIMATE_AGE_S)
         self._told: PoseEstimate | None = None  # as feedback
         self._odometry = PoseBuffer()
-        self._speed_mps = 0.0
+        self._speed_mps = self._yaw_rate_rps = 0.0
         self._obstacles = FoundObstacles(())
         self._navigation = NavigationReport("", "idle")
         self._planning = PlanReport("", "idle")
@@ -180,7 +181,7 @@ class HitchhikeComm:
     def order(self, order: Order, now: float) -> None:
         """Somebody wants this robot at a goal, or no longer."""
         if isinstance(order, (GoalGiven, GoalCancelled)):
-            self._events.append(order)
+            self._events.append((order, now))
             self._answer_now = True
 
     def next_due(self, now: float) -> float:
@@ -195,10 +196,14 @@ class HitchhikeComm:
     def step(self, now: float) -> HitchhikeCommOutputs:
         """Take all events and the passing of time."""
         self._stepped_at, self._answer_now = now, False
-        events, self._events = list(self._events), deque()
+        arrived, self._events = self._events, deque()
+        events = [x.aged(now - at) if isinstance(x, Message) else x for x, at in arrived]
         effects: list[Effect] = []
         for event in [*events, Tick(self._situation(now))]:
             effects += self._agent.step(event, now)
+        taken = next((InitialPose(e.estimate) for e in effects if isinstance(e, TakePose)), None)
+        if taken is not None:
+            self._estimate.clear()  # what localization said before it starts anew
         status = self._agent.status(now)
         outcome = self._agent.outcome
         estimate = self._estimate.get(now)
@@ -209,7 +214,7 @@ class HitchhikeComm:
             health=self._health(status),
             messages=tuple(self._sent(effect, now) for effect in effects if isinstance(effect, Send)),
             status=self._to_publish(status),
-            initial_pose=next((InitialPose(e.estimate) for e in effects if isinstance(e, TakePose)), None),
+            initial_pose=taken,
             handed_over=next((HandedOverObstacles(e.obstacles) for e in effects if isinstance(e, TakeObstacles)), None),
             awards=tuple(effect for effect in effects if isinstance(effect, Award)),
             reports=tuple(effect.text for effect in effects if isinstance(effect, Report)),
@@ -222,7 +227,8 @@ class HitchhikeComm:
         try:
             knew = self._odometry.twistless
             self._odometry.add(odometry)
-            self._speed_mps = self._odometry.newest.twist.v
+            twist = self._odometry.newest.twist
+            self._speed_mps, self._yaw_rate_rps = twist.v, twist.omega
             if self._odometry.twistless and not knew:
                 self._warnings.append("odom: no twist in it though the pose moves; it is derived from the poses")
         except SensorDataError:
@@ -231,7 +237,7 @@ class HitchhikeComm:
     def _lose_odometry(self) -> None:
         """An unknown speed is not zero; the modules that drive stop by themselves."""
         self._odometry.clear()
-        self._speed_mps = math.inf
+        self._speed_mps = self._yaw_rate_rps = math.inf
 
     def _hear(self, heard: NetworkText, now: float) -> None:
         try:
@@ -240,7 +246,7 @@ class HitchhikeComm:
             self._refuse(heard.sender, f"network message dropped: {exc}", now)
             return
         if message is not None:
-            self._events.append(message)
+            self._events.append((message, now))
             self._answer_now |= not isinstance(message, _REPEATED)
 
     def _refuse(self, sender: str, text: str, now: float) -> None:
@@ -258,7 +264,7 @@ class HitchhikeComm:
         failed = self._planning.state == "failed"
         plan = self._planning
         return Situation(
-            estimate=self._estimate.get(now),
+            estimate=self._estimate_now(now),
             speed_mps=self._speed_mps,
             obstacles=self._obstacles.obstacles,
             navigation=NavigationReport(plan.goal_id, plan.state, plan.reason) if failed else self._navigation,
@@ -266,7 +272,15 @@ class HitchhikeComm:
             seen_from=self._odometry.get(seen.stamp) if seen is not None else None,
             odom_pose=self._odometry.get(now),
             following=self._observations.following,
+            yaw_rate_rps=self._yaw_rate_rps,
         )
+
+    def _estimate_now(self, now: float) -> PoseEstimate | None:
+        """The estimate, which is of the time of a scan, carried by the wheels to the time of all else."""
+        estimate = self._estimate.get(now)
+        if estimate is None:
+            return None
+        return carried_on(estimate, self._odometry.get(estimate.stamp), self._odometry.get(now), now)
 
     def _sent(self, effect: Send, now: float) -> str:
         message = self._outbox.stamp(effect.message, now)

@@ -53,6 +53,11 @@ class Situation:
     seen_from: Pose2D | None = None  # own pose in ``odom`` when that observation was made
     odom_pose: Pose2D | None = None  # own pose in ``odom`` now
     following: str = ""  # what servoing does with the driver, in its words
+    yaw_rate_rps: float = 0.0
+
+    def stands(self, most_mps: float, most_rps: float) -> bool:
+        """Whether the robot neither drives nor turns faster than that."""
+        return abs(self.speed_mps) <= most_mps and abs(self.yaw_rate_rps) <= most_rps
 
 
 @dataclass(frozen=True, eq=False)

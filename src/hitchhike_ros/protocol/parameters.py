@@ -74,6 +74,7 @@ class HitchhikingParameters:
     gap_m: Positive = 0.8  # d2, camera to marker
     gap_tolerance_m: Positive = 0.10
     standstill_mps: Positive = 0.02
+    standstill_rps: Positive = 0.05  # at 0.5 s between messages, 1.4 degrees
     cruise_speed_mps: Positive = 0.6
     ride_speed_mps: Positive = 0.6
     safe_speed_mps: Positive = 1.0  # the most of a driver on its way to a hitchhiker (velocity tuning, P18 §8.1.3)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from corridor_drive import BOXES, MARKER, odometry
-from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Pose2D, PoseEstimate
+from hitchhike_ros.core.datatypes import MarkerObservation, Obstacle, Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.errors import SensorDataError
-from hitchhike_ros.core.geometry import between, compose
+from hitchhike_ros.core.geometry import between, compose, move
 from hitchhike_ros.localization.ekf import mahalanobis_squared, pose_error
 from hitchhike_ros.localization.ekf_localizer import EkfLocalizer
 from hitchhike_ros.localization.localizer import LocalizerParameters
@@ -199,3 +199,45 @@ def test_a_pose_known_a_moment_ago_is_carried_on(corridor):
 def test_scans_before_any_odometry_are_refused(corridor):
     with pytest.raises(SensorDataError, match="no odometry"):
         started(corridor, Pose2D(8.0, 5.72, 0.0)).update_scan(SCAN)
+
+
+def _drives(t: float) -> Odometry:
+    """Round a bend at 0.5 m/s and 0.6 rad/s."""
+    twist = Twist2D(0.5, 0.6)
+    return Odometry(t, move(Pose2D(3.0, 1.0, 0.4), twist, t), twist)
+
+
+@pytest.mark.parametrize("told_first", [True, False])
+@pytest.mark.parametrize("silent_s", [0.05, 0.3, 1.0])
+def test_the_way_between_a_pose_and_the_first_odometry_after_it_counts(corridor, told_first, silent_s):
+    """Switched on in a bend at 0.5 m/s, it stayed behind by as much as it had gone since the image: 0.5 m after 1 s."""
+    scores = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        truth = Pose2D(8.0, 5.72, 0.5)
+        error = rng.multivariate_normal(np.zeros(3), P0)
+        given = PoseEstimate(0.0, Pose2D(truth.x + error[0], truth.y + error[1], truth.theta + error[2]), P0)
+        localizer = EkfLocalizer(corridor, [], LocalizerParameters(), LASER)
+        if told_first:
+            localizer.initialise(given)
+        for k in range(3):
+            localizer.predict(_drives(silent_s + 0.05 * k))
+        if not told_first:
+            localizer.initialise(given)
+        now = localizer.estimate
+        there = compose(truth, between(_drives(0.0).pose, _drives(now.stamp).pose))
+        scores.append(mahalanobis_squared(pose_error(now.pose, there), now.covariance))
+    assert np.mean(scores) < 4.0
+
+
+def test_what_a_robot_did_in_an_unknown_time_is_not_made_up(corridor):
+    localizer = started(corridor, Pose2D(8.0, 5.72, 0.0))
+    localizer.predict(odometry(50.0, x=3.0, v=0.5))
+    assert localizer.estimate.pose == Pose2D(8.0, 5.72, 0.0)
+
+
+def test_a_robot_that_stands_is_where_it_was(corridor):
+    localizer = started(corridor, Pose2D(8.0, 5.72, 0.0))
+    localizer.predict(odometry(1.0, x=3.0))
+    assert localizer.estimate.pose == Pose2D(8.0, 5.72, 0.0)
+    np.testing.assert_allclose(localizer.estimate.covariance, P0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hitchhike_ros.core.datatypes import FloatArray, Pose2D
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import UnreachableError
 from hitchhike_ros.core.geometry import compose
 from hitchhike_ros.protocol.driver.facts import ENGAGED, WITH_RIDER
@@ -33,7 +33,7 @@ from hitchhike_ros.protocol.messages import (
 )
 from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import ANY_MARKER, ModuleSwitches, ServoCommand
-from protocol_helpers import BOXES, DRIVER, DRIVER_GOAL, RIDER, SITES, Bench, corridor_path, driver_in, messages
+from protocol_helpers import BOXES, DRIVER, DRIVER_GOAL, RIDER, SIGMA, SITES, Bench, corridor_path, driver_in, messages
 
 S = DriverState
 
@@ -358,6 +358,29 @@ def test_it_hands_over_standing_and_repeats_until_acknowledged() -> None:
     bench.hear(Ack, of="decouple")
     assert (bench.machine.state, str(bench.machine.ending)) == (S.NAVIGATING, "Ride completed")
     assert bench.take(Terminate) == []
+
+
+@pytest.mark.parametrize("yaw_rate", [0.06, -0.5])
+def test_a_driver_that_turns_on_the_spot_does_not_stand(yaw_rate: float) -> None:
+    """Half a second later its rider would pair a heading 14 degrees off with what it sees."""
+    bench = driver_in(S.DECOUPLING)
+    bench.yaw_rate = yaw_rate
+    bench.wait(1.0)
+    assert bench.take(Decouple) == []
+    bench.yaw_rate = 0.0
+    bench.wait(1.0)
+    assert bench.take(Decouple)
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.25])
+def test_its_messages_tell_how_old_the_pose_in_them_is(age_s: float) -> None:
+    bench = driver_in(S.DRIVING)
+    situation = replace(bench.situation(), estimate=PoseEstimate(bench.now - age_s, Pose2D(5.0, 5.72), np.array(SIGMA)))
+    bench.step(Tick(situation))
+    bench.clear()
+    bench.now += 0.5
+    bench.step(Tick(replace(situation, estimate=replace(situation.estimate, stamp=bench.now - age_s))))
+    assert [told.age_s for told in bench.take(Driver)] == [pytest.approx(age_s)]
 
 
 def test_metres_are_credited_once() -> None:

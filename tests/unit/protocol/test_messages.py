@@ -24,6 +24,7 @@ from hitchhike_ros.protocol.messages import (
     Ack,
     Beacon,
     Covariance,
+    Decouple,
     Driver,
     Lock,
     Message,
@@ -220,3 +221,23 @@ def test_every_type_is_ready_before_threads_decode_it() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("cls", "name"), [(Driver, "age_s"), (Decouple, "age_s"), (Ack, "seen_age_s")])
+def test_the_age_of_what_is_told_may_be_left_out_and_is_never_negative(cls: type[Message], name: str) -> None:
+    """Robots of before do not tell it."""
+    message = messages()[cls]
+    content = json.loads(encode(message))
+    del content[name]
+    assert getattr(decode(json.dumps(content)), name) == 0.0
+    for bad in (-0.1, "soon", None):
+        with pytest.raises(MessageError, match=name):
+            decode(json.dumps({**content, name: bad}))
+
+
+def test_a_message_that_has_waited_tells_of_a_time_longer_ago() -> None:
+    told, ack, other = messages()[Driver].aged(0.2).aged(0.1), messages()[Ack].aged(0.2), messages()[Lock]
+    assert isinstance(told, Driver) and isinstance(ack, Ack)
+    assert (told.age_s, ack.seen_age_s) == (pytest.approx(0.3), pytest.approx(0.2))
+    assert messages()[Driver].aged(-1.0) == messages()[Driver]  # the clock was set back
+    assert other.aged(5.0) is other

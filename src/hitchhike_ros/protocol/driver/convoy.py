@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import FloatArray, HitchhikingPoint, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.core.datatypes import (
+    FloatArray,
+    HitchhikingPoint,
+    MarkerObservation,
+    Odometry,
+    Pose2D,
+    PoseEstimate,
+    Twist2D,
+)
 from hitchhike_ros.core.geometry import compose, distance, inverse
+from hitchhike_ros.core.pose_buffer import PoseBuffer, PoseBufferParameters
 from hitchhike_ros.localization.handover import handover
 from hitchhike_ros.protocol.messages import Ack, Message, RearMarker
 
@@ -19,6 +28,22 @@ _UNSEEN_SIGMA = np.diag(np.square([0.5, 0.3, 0.3]))
 _LEAVE_TOGETHER_M = 1.0
 # Steps of the driver's own pose that count as metres ridden: noise of a standing robot does not.
 _ODOMETER_STEP_M = 0.2
+
+
+# Poses of so long ago are kept, for what is told of them later; none are guessed beyond the newest (chosen).
+_HISTORY = PoseBufferParameters(history_s=3.0, max_extrapolation_s=0.0, max_speed_mps=np.inf, max_yaw_rate_rps=np.inf)
+
+
+def _history() -> PoseBuffer:
+    return PoseBuffer(_HISTORY)
+
+
+def _keep(history: PoseBuffer, stamp: float, pose: Pose2D) -> None:
+    """Add the pose, unless there is a newer one already; a clock that was set back begins anew."""
+    if history and stamp < history.newest.stamp - _HISTORY.history_s:
+        history.clear()
+    if not history or stamp > history.newest.stamp:
+        history.add(Odometry(stamp, pose, Twist2D()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +75,8 @@ class Rider:
     gap_m: float | None = None
     following: bool = True
     acked_at: float = 0.0
-    seen: MarkerObservation | None = field(default=None, repr=False)
+    seen: MarkerObservation | None = field(default=None, repr=False)  # the marker ahead in the newest image it told of
+    sightings: PoseBuffer = field(default_factory=_history, repr=False)  # and in those before
 
     @property
     def left_m(self) -> float:
@@ -60,8 +86,18 @@ class Rider:
     def hear(self, ack: Ack, now: float) -> None:
         """How it follows, in its own words."""
         self.acked_at, self.following, self.gap_m = now, ack.following, ack.gap_m
-        if ack.seen is not None and ack.seen_sigma is not None:
-            self.seen = MarkerObservation(now, 0, ack.seen, np.array(ack.seen_sigma))
+        if ack.seen is None or ack.seen_sigma is None:
+            return
+        seen = MarkerObservation(now - ack.seen_age_s, 0, ack.seen, np.array(ack.seen_sigma))
+        if self.seen is None or seen.stamp > self.seen.stamp:
+            self.seen = seen
+            _keep(self.sightings, seen.stamp, seen.pose)
+
+    def saw_at(self, stamp: float) -> MarkerObservation | None:
+        """The robot ahead as it was seen then: between two images, or in the one that is nearest."""
+        if self.seen is None:
+            return None
+        return replace(self.seen, stamp=stamp, pose=self.sightings.get(stamp) or self.seen.pose)
 
 
 class Convoy:
@@ -71,6 +107,7 @@ class Convoy:
         """``rear_marker`` is the driver's."""
         self._rear_marker = rear_marker
         self._riders: list[Rider] = []
+        self._driven = _history()  # the driver's own poses
         self.waits_since = 0.0  # for riders that are missing
 
     def __iter__(self) -> Iterator[Rider]:
@@ -157,19 +194,30 @@ class Convoy:
         ]
         return rear_markers[-1] if rear_markers else self._rear_marker
 
+    def note(self, driver: PoseEstimate) -> None:
+        """Where the driver is: riders say later what they saw of it."""
+        _keep(self._driven, driver.stamp, driver.pose)
+
     def pose_ahead_of(self, rider: Rider, driver: PoseEstimate, mounting: FloatArray) -> PoseEstimate:
-        """Where the robot is that ``rider`` follows, from the driver's own pose and what the riders between see."""
-        here, rear_marker = driver, self._rear_marker
-        for ahead in self._riders[: self._riders.index(rider)]:
-            if ahead.rear_marker is None:
-                continue
-            if ahead.seen is None:
+        """Where the robot is that ``rider`` follows, from the driver's own pose and what the riders between see.
+
+        What they see is of the images of which they have told, so the estimate is of the newest time of which all have.
+        """
+        between = [ahead for ahead in self._riders[: self._riders.index(rider)] if ahead.rear_marker is not None]
+        stamp = min([driver.stamp, *(ahead.seen.stamp for ahead in between if ahead.seen is not None)])
+        then = self._driven.get(stamp)
+        here, rear_marker = driver if then is None else replace(driver, stamp=stamp, pose=then), self._rear_marker
+        for ahead in between:
+            assert ahead.rear_marker is not None
+            seen = ahead.saw_at(stamp)
+            if seen is None:
                 behind = compose(here.pose, inverse(_UNSEEN))
-                here = PoseEstimate(driver.stamp, behind, here.covariance + _UNSEEN_SIGMA)
+                here = PoseEstimate(here.stamp, behind, here.covariance + _UNSEEN_SIGMA)
             else:
-                here = handover("measured", here, ahead.seen, rear_marker.marker_pose, mounting)
+                estimate = handover("measured", here, seen, rear_marker.marker_pose, mounting)
+                here = replace(estimate, stamp=here.stamp)
             rear_marker = ahead.rear_marker
-        return PoseEstimate(driver.stamp, here.pose, here.covariance)
+        return here
 
 
 class Odometer:

@@ -328,6 +328,7 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
     def _count_metres(self) -> None:
         f = self.facts
         if f.estimate is not None:
+            f.convoy.note(f.estimate)
             f.convoy.credit(f.odometer.step(f.estimate.pose))
 
     def _count_last_metres(self) -> None:
@@ -346,7 +347,9 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
     def _hand_over(self) -> None:
         self._inform_all()
         f = self.facts
-        standing = abs(f.situation.speed_mps) <= self.params.standstill_mps
+        if f.estimate is not None:
+            f.convoy.note(f.estimate)
+        standing = f.situation.stands(self.params.standstill_mps, self.params.standstill_rps)
         if standing and f.estimate is not None and self._every(self.params.repeat_period_s, "decouple"):
             for rider in f.convoy.leaving:
                 self._send(Decouple(**self._to(rider), **self._state_fields(rider)))
@@ -398,6 +401,7 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
     def _state_fields(self, rider: Rider) -> dict[str, Any]:
         f = self.facts
         assert f.estimate is not None
+        f.convoy.note(f.estimate)
         estimate = f.convoy.pose_ahead_of(rider, f.estimate, self.params.mounting)
         return {
             "x": estimate.pose.x,
@@ -408,6 +412,7 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
             "ridden_m": rider.ridden_m,
             "place": f.convoy.place(rider),
             "ahead": f.convoy.ahead_of(rider),
+            "age_s": max(0.0, f.now - estimate.stamp),
         }
 
     def _finish(self, riders: Iterable[Rider], ending: Ending, tell: bool = True) -> None:

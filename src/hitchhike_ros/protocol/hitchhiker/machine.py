@@ -10,6 +10,7 @@ from typing import Any
 from scipy.spatial.distance import cdist
 
 from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.localization.motion import carried_on
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
 from hitchhike_ros.protocol.events import Effect, GoalGiven, TakeObstacles, TakePose
@@ -338,6 +339,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
                 gap_m=gap,
                 seen=None if seen is None else seen.pose,
                 seen_sigma=None if seen is None else covariance_rows(seen.covariance),
+                seen_age_s=0.0 if seen is None else max(0.0, self.facts.now - seen.stamp),
             )
         )
 
@@ -345,7 +347,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
 
     def _localize(self) -> None:
         """Localization goes on without the marker."""
-        self._restart(self.facts.ride.rough_pose(self.facts.situation, self.facts.now))
+        self._restart(self.facts.ride.rough_pose(self.facts.situation, self.facts.now), self.facts.situation.odom_pose)
 
     def _pursue(self) -> None:
         self.facts.pursuit = Pursuit(self.params, self._camera, self.ride_id, self._pursuit_ways)
@@ -375,7 +377,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         facts = self.facts
         seen, report = facts.ride.seen(facts.situation, facts.now), facts.ride.report
         assert seen is not None and isinstance(report, Decouple)
-        self._restart(facts.ride.pose_behind_driver(seen, facts.situation, facts.now))
+        self._restart(facts.ride.pose_behind_driver(seen, facts.situation, facts.now), facts.situation.seen_from)
         facts.handed_over = True
         self._acknowledge_handover(report)
 
@@ -390,7 +392,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         """The robot stands as it did when it saw the one ahead, and now knows better where that is."""
         restart, estimate = self.facts.restart, self.facts.situation.estimate
         assert restart is not None and estimate is not None
-        self._note_ahead(restart.ahead_from(estimate.pose))
+        self._note_ahead(restart.ahead_from(estimate.pose, self.facts.situation.odom_pose))
 
     def _finish(self) -> None:
         self._report(self.ending or Reason.RIDE_COMPLETED)
@@ -446,14 +448,17 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
     def _tell(self, end: Terminate | RequestCancel) -> None:
         self._send_last_word(end, self.params.repeat_period_s, self.params.confirm_timeout_s)
 
-    def _restart(self, pose: PoseEstimate | None) -> None:
-        """Localization and mapping take over from the ride."""
-        facts, report = self.facts, self.facts.ride.report
+    def _restart(self, pose: PoseEstimate | None, then: Pose2D | None) -> None:
+        """Localization and mapping take over from the ride: from the ``pose`` that the robot had when it was at
+        ``then`` in ``odom``, carried on by its wheels to now, as nobody else has heard them."""
+        facts, report, situation = self.facts, self.facts.ride.report, self.facts.situation
         facts.restart = None
         if pose is not None:
-            facts.restart = Restart(pose, facts.ride.pose_ahead(pose.pose, facts.situation, facts.now))
+            start = carried_on(pose, then, situation.odom_pose, facts.now)
+            seen_from = facts.ride.place_when_seen(start.pose, situation)
+            facts.restart = Restart(start, facts.ride.pose_ahead(seen_from, situation, facts.now), situation.odom_pose)
             self._note_ahead(facts.restart.ahead)
-            self._effects.append(TakePose(pose))
+            self._effects.append(TakePose(start))
         if report is not None and report.new_obstacles.obstacles:
             self._effects.append(TakeObstacles(report.new_obstacles.obstacles))
 

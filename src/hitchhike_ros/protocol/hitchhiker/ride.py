@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import MarkerObservation, Pose2D, PoseEstimate
-from hitchhike_ros.core.geometry import between, compose, distance, inverse
+from hitchhike_ros.core.datatypes import FloatArray, MarkerObservation, Pose2D, PoseEstimate
+from hitchhike_ros.core.geometry import between, compose, compose_jacobians, distance, inverse
 from hitchhike_ros.localization.driver_track import DriverTrack, with_heading
 from hitchhike_ros.localization.handover import handover
+from hitchhike_ros.localization.motion import carried_on
 from hitchhike_ros.protocol.events import Situation
+from hitchhike_ros.protocol.hitchhiker.sightings import Sightings
 from hitchhike_ros.protocol.messages import Decouple, Driver, RearMarker
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 
@@ -56,7 +58,7 @@ class Ride:
         self._params, self._camera = params, Pose2D(*camera)
         self._heard_at = self._seen_at = now
         self._in_gap_since: float | None = None  # stamp of an image
-        self._track = DriverTrack()
+        self._begin_track()
 
     @property
     def ridden_m(self) -> float:
@@ -79,6 +81,7 @@ class Ride:
 
     def look(self, situation: Situation, now: float) -> None:
         """Note since when the marker ahead is out of sight, and since when the robot keeps the gap."""
+        self._lay(situation)
         gap, seen = self.gap_m(situation, now), self.seen(situation, now)
         if gap is None or seen is None:
             self._in_gap_since = None
@@ -120,8 +123,9 @@ class Ride:
         A rider that moves up in its convoy has another robot ahead of it, and knows nothing of that one's way.
         """
         if message.ahead is not None and message.ahead != self.rear_marker:
-            self.rear_marker, self._track, self.told = message.ahead, DriverTrack(), deque()
-        self._heard_at = self.told_at = now
+            self.rear_marker, self.told = message.ahead, deque()
+            self._begin_track()
+        self._heard_at, self.told_at = now, now - message.age_s
         self.report, self.place = message, message.place
         if not self.told or distance(self.told[-1], message.pose) >= _TOLD_STEP_M:
             self.told.append(message.pose)
@@ -129,10 +133,32 @@ class Ride:
             self.told.popleft()
 
     def match(self, message: Driver, situation: Situation, now: float) -> None:
-        """Join the place of the marker that a message tells to the place where it is seen."""
-        seen, own = self.seen(situation, now), situation.seen_from
-        if seen is not None and own is not None:
-            self._track.add(compose(own, seen.pose), compose(message.pose, self.rear_marker.marker_pose))
+        """Join the place of the marker that a message tells to where it was seen at that very time.
+
+        The image that shows it then, or the one after it, may be yet to come.
+        """
+        mount = self.rear_marker.marker_pose
+        J, J_mount = compose_jacobians(message.pose, mount)
+        sigma = J @ np.array(message.sigma) @ J.T + J_mount @ self._params.mounting @ J_mount.T
+        self._unmatched.append((now - message.age_s, compose(message.pose, mount), sigma))
+        self._lay(situation)
+
+    def _begin_track(self) -> None:
+        """Nothing is known yet of the way of the robot ahead."""
+        self._track, self._sightings = DriverTrack(), Sightings()
+        self._unmatched: deque[tuple[float, Pose2D, FloatArray]] = deque()  # what was told of a time, in ``map``
+
+    def _lay(self, situation: Situation) -> None:
+        """Take the newest image, and lay together what was told and what was seen of the same times."""
+        seen, own = situation.observation, situation.seen_from
+        if seen is None or own is None or seen.marker_id != self.rear_marker.marker_id:
+            return
+        self._sightings.add(seen, own)
+        while self._unmatched and self._unmatched[0][0] <= seen.stamp:
+            stamp, told, sigma = self._unmatched.popleft()
+            then = self._sightings.at(stamp)
+            if then is not None:
+                self._track.add(then.place, told, sigma)
 
     def silent(self, now: float) -> bool:
         """Whether the driver has said nothing for too long."""
@@ -147,14 +173,27 @@ class Ride:
     # The own pose.
 
     def pose_behind_driver(self, seen: MarkerObservation, situation: Situation, now: float) -> PoseEstimate | None:
-        """The own pose from the driver's last one and the marker as ``seen`` (P17 §6.2), None before any message."""
-        driver = self._driver_estimate(now)
+        """The own pose of the image in which the marker is ``seen``, from the driver's last one (P17 §6.2).
+
+        The marker is taken as it was when the driver told of, and the way since then by the own wheels. Where images do
+        not tell that, both robots are taken to have stood since. None before any message.
+        """
+        driver, own = self._driver_estimate(now), situation.seen_from
         if driver is None:
             return None
-        marker, own, turn = self.rear_marker.marker_pose, situation.seen_from, self._track.turn()
-        if own is not None and turn is not None:
-            seen = with_heading(seen, driver.pose.theta + marker.theta, own.theta + turn[0], turn[1])
-        return handover(self._params.handover, driver, seen, marker, self._params.mounting)
+        self._lay(situation)
+        then = None if own is None else self._sightings.at(driver.stamp)
+        if then is None:
+            return self._behind(driver, seen, own)
+        return carried_on(self._behind(driver, then.seen, then.own), then.own, own, seen.stamp)
+
+    def _behind(self, driver: PoseEstimate, seen: MarkerObservation, own: Pose2D | None) -> PoseEstimate:
+        """The own pose behind the ``driver``, of one time with the look at its marker, from ``own`` in ``odom``."""
+        method, turn = self._params.handover, self._track.turn()
+        estimate = handover(method, driver, seen, self.rear_marker.marker_pose, self._params.mounting)
+        if method == "paper" or own is None or turn is None:
+            return estimate
+        return with_heading(estimate, own.theta + turn[0], turn[1])
 
     def rough_pose(self, situation: Situation, now: float) -> PoseEstimate | None:
         """The own pose without the marker: by the driver's track and the own wheels, else by the last message alone.
@@ -170,27 +209,38 @@ class Ride:
         if driver is None:
             return situation.estimate
         ahead = Pose2D(self._camera.x + self._params.gap_m, 0.0, np.pi)
-        gone_m = self._params.ride_speed_mps * (now - self._heard_at)
+        gone_m = self._params.ride_speed_mps * (now - driver.stamp)
         covariance = np.diag(np.square([_LOST_SIGMA[0] + gone_m, _LOST_SIGMA[1] + gone_m, _LOST_SIGMA[2]]))
         assumed = MarkerObservation(now, self.rear_marker.marker_id, ahead, covariance)
-        return handover("measured", driver, assumed, self.rear_marker.marker_pose)
+        return handover("measured", driver, assumed, self.rear_marker.marker_pose, self._params.mounting)
 
     def _driver_estimate(self, now: float) -> PoseEstimate | None:
-        message = self.report
-        return None if message is None else PoseEstimate(now, message.pose, np.array(message.sigma))
+        """Of the time of which the driver told it."""
+        message, stamp = self.report, now if self.told_at is None else min(self.told_at, now)
+        return None if message is None else PoseEstimate(stamp, message.pose, np.array(message.sigma))
+
+    def place_when_seen(self, own: Pose2D, situation: Situation) -> Pose2D:
+        """Where this robot, which is at ``own`` in ``map`` now, was when the newest image was taken."""
+        then, odom = situation.seen_from, situation.odom_pose
+        return own if then is None or odom is None else compose(own, between(odom, then))
 
     def pose_ahead(self, own: Pose2D, situation: Situation, now: float) -> Pose2D | None:
-        """Where the robot ahead is in ``map`` when this one is at ``own``; None while its marker is not in view."""
+        """Where the robot ahead was in ``map`` in the newest image, taken from ``own``; None while its marker is not in
+        view."""
         seen = self.seen(situation, now)
         return None if seen is None else compose(compose(own, seen.pose), inverse(self.rear_marker.marker_pose))
 
 
 @dataclass(frozen=True, eq=False)
 class Restart:
-    """Localization starts again: from which pose, and where the robot ahead was seen from there, in ``map``."""
+    """Localization starts again: from which pose, and where the robot ahead was seen from there, in ``map``.
+
+    ``odom`` is the same pose of this robot in ``odom``, where that is known.
+    """
 
     estimate: PoseEstimate
     ahead: Pose2D | None
+    odom: Pose2D | None = None
 
     def taken(self, answer: PoseEstimate | None) -> bool:
         """Whether localization goes on from the pose: it may wake up with what it knew when it went to sleep."""
@@ -199,6 +249,12 @@ class Restart:
             return False
         return distance(given.pose, answer.pose) <= _TAKEN_M
 
-    def ahead_from(self, own: Pose2D) -> Pose2D | None:
-        """Where the robot ahead was, when this one stands where it stood and localization now says ``own``."""
-        return None if self.ahead is None else compose(own, between(self.estimate.pose, self.ahead))
+    def ahead_from(self, own: Pose2D, odom: Pose2D | None = None) -> Pose2D | None:
+        """Where the robot ahead was, when localization now says ``own``.
+
+        This robot is at ``odom`` by its wheels then; without that it stands where it stood.
+        """
+        if self.ahead is None:
+            return None
+        gone = Pose2D() if odom is None or self.odom is None else between(self.odom, odom)
+        return compose(compose(own, inverse(gone)), between(self.estimate.pose, self.ahead))

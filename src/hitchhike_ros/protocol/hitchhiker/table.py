@@ -100,7 +100,7 @@ def nowhere_left_to_look(f: Facts) -> bool:
 
 def stands_behind_driver(f: Facts) -> bool:
     """The driver's pose and the marker's must be of one moment: both robots stand, and the marker was seen since."""
-    standing = abs(f.situation.speed_mps) <= f.params.standstill_mps
+    standing = f.situation.stands(f.params.standstill_mps, f.params.standstill_rps)
     return standing and sees_driver(f) and f.in_state_s >= f.params.repeat_period_s
 
 
@@ -225,7 +225,7 @@ MEETING = (
     Row(_BOARDING, Terminate, ("_take_reason", *_REQUEST_ANEW), S.REQUESTING),
 )
 RIDING = (
-    Do((S.COUPLING, *_RIDING, S.RECOUPLING), "_look"),
+    Do((S.COUPLING, *_RIDING, S.SETTLING, S.RECOUPLING), "_look"),
     Row((S.COUPLING,), Tick, ("_begin_ride", "_ride"), S.RIDING, (keeps_the_gap,)),
     Row((S.COUPLING,), Deadline(max_couple), _CALL_OFF, S.REQUESTING, why=Reason.LARGE_COUPLE_TIME),
     Do((S.RIDING,), "_repeat_coupled", (sees_driver, driver_has_not_spoken)),

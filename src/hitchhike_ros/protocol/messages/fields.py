@@ -6,7 +6,7 @@ Metres and radians in ``map``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
 import msgspec
 import numpy as np
@@ -40,6 +40,10 @@ class Message:
     ride_id: str = ""
     seq: Annotated[int, msgspec.Meta(ge=0)] = 0
     time_stamp: float = 0.0
+
+    def aged(self, waited_s: float) -> Self:
+        """The message as it reads ``waited_s`` after it came: what it says of a time is of a time longer ago."""
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 import msgspec
 
@@ -141,7 +141,8 @@ class NewObstacles:
 class DriverFields(PoseFields):
     """What a driver tells its rider: pose, Σ, Ω (P17 §4, Listing 1), and how far they have ridden.
 
-    In a convoy, pose and Σ are of the robot ahead of the rider, the one with the rear marker ``ahead``.
+    In a convoy, pose and Σ are of the robot ahead of the rider, the one with the rear marker ``ahead``. They are of
+    ``age_s`` before the message: clocks differ, but all count the same seconds.
     """
 
     sigma: Covariance
@@ -149,6 +150,11 @@ class DriverFields(PoseFields):
     ridden_m: NonNegative = 0.0
     place: Place = 1
     ahead: RearMarker | None = None
+    age_s: NonNegative = 0.0
+
+    def aged(self, waited_s: float) -> Self:
+        """As :meth:`.Message.aged`."""
+        return replace(self, age_s=self.age_s + max(0.0, waited_s))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +172,8 @@ class Ack(Message):
 
     A driver that confirms a lock adds the place, and in how many seconds it will be aligned.
 
-    ``seen`` is the marker ahead in its ``base_footprint`` with covariance ``seen_sigma``: it tells where the rider is.
+    ``seen`` is the marker ahead in its ``base_footprint`` with covariance ``seen_sigma``: it tells where the rider is,
+    or was ``seen_age_s`` before the message.
     """
 
     type = "ack"
@@ -179,6 +186,11 @@ class Ack(Message):
     gap_m: float | None = None
     seen: Pose2D | None = None
     seen_sigma: Covariance | None = None
+    seen_age_s: NonNegative = 0.0
+
+    def aged(self, waited_s: float) -> Self:
+        """As :meth:`.Message.aged`."""
+        return replace(self, seen_age_s=self.seen_age_s + max(0.0, waited_s))
 
 
 @dataclass(frozen=True, kw_only=True)

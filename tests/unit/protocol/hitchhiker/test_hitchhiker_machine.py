@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 
 from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate, Side
 from hitchhike_ros.core.errors import TransitionError
-from hitchhike_ros.core.geometry import between, compose, distance, wrap_angle
+from hitchhike_ros.core.geometry import between, compose, distance, inverse, wrap_angle
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven, NavigationReport, TakeObstacles, TakePose, Tick
+from hitchhike_ros.protocol.events import (
+    GoalCancelled,
+    GoalGiven,
+    NavigationReport,
+    Situation,
+    TakeObstacles,
+    TakePose,
+    Tick,
+)
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
@@ -722,3 +730,56 @@ def test_the_modules_of_each_state(state: HitchhikerState) -> None:
         task = "observe" if state is S.CATCHING_UP else "follow"
         assert (machine.servo.task, machine.servo.marker_id, machine.servo.gap_m) == (task, 0, 0.8)
     assert (machine.ride is not None) == (state not in (S.IDLE, S.REQUESTING))
+
+
+@pytest.mark.parametrize("yaw_rate", [0.06, -0.4])
+def test_a_rider_that_turns_on_the_spot_does_not_stand(yaw_rate: float) -> None:
+    bench = rider_in(S.SETTLING)
+    bench.yaw_rate = yaw_rate
+    bench.wait(bench.machine.params.repeat_period_s + 0.3)
+    assert bench.machine.state is S.SETTLING
+    bench.yaw_rate = 0.0
+    bench.wait(0.2)
+    assert bench.machine.state is S.RELOCALIZING
+
+
+def test_an_acknowledgement_tells_how_old_its_look_is() -> None:
+    bench = rider_in(S.RIDING)
+    situation = bench.situation()
+    bench.step(Tick(situation))
+    bench.now += 0.3
+    bench.clear()
+    bench.hear(Driver)
+    (ack,) = bench.take(Ack)
+    assert ack.seen == situation.observation.pose
+    assert ack.seen_age_s == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("moved", [Pose2D(0.15, 0.0, 0.1), Pose2D(-0.02, 0.0, 0.3)])
+def test_a_pose_that_is_taken_over_is_carried_to_now_and_the_driver_stays_where_it_was_seen(moved: Pose2D) -> None:
+    """The image is 0.3 s old: localization, which was off, cannot know what the robot did since."""
+    neighbours = Neighbours()
+    bench = rider_in(S.SETTLING, neighbours=neighbours)
+    neighbours.hear(replace(messages()[Beacon], robot_id=DRIVER, pose=Pose2D(11.0, 5.0)), bench.now)
+    then = Pose2D(7.0, -1.0, 2.0)
+    situation = replace(bench.situation(), seen_from=then, odom_pose=compose(then, moved), speed_mps=0.4)
+    bench.now += bench.machine.params.settle_timeout_s  # it never stood
+    situation = replace(situation, observation=replace(situation.observation, stamp=bench.now - 0.3))
+    bench.step(Tick(situation))
+    (taken,) = bench.take(TakePose)
+    driver = messages()[Decouple].pose
+    seen = situation.observation.pose
+    at_image = compose(compose(driver, MARKER_POSE), inverse(seen))
+    expected = compose(at_image, moved)
+    assert astuple(taken.estimate.pose) == pytest.approx(astuple(expected))
+    assert taken.estimate.stamp == bench.now
+    assert astuple(_place_of(DRIVER, neighbours)) == pytest.approx(astuple(driver))
+    # Until localization answers it rolls on; the driver does not.
+    on = compose(situation.odom_pose, Pose2D(0.1, 0.0, -0.05))
+    bench.now += 0.2
+    off = Pose2D(0.03, -0.02, 0.01)  # by which the pose was wrong
+    own = compose(off, compose(expected, Pose2D(0.1, 0.0, -0.05)))
+    estimate = PoseEstimate(bench.now, own, np.array(SIGMA))
+    bench.step(Tick(Situation(estimate, odom_pose=on)))
+    assert bench.machine.state is not S.RELOCALIZING
+    assert astuple(_place_of(DRIVER, neighbours)) == pytest.approx(astuple(compose(off, driver)))

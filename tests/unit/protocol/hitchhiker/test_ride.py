@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -14,9 +15,11 @@ from hypothesis import strategies as st
 
 from hitchhike_ros.core.datatypes import MarkerObservation, Pose2D, PoseEstimate
 from hitchhike_ros.core.geometry import between, compose, distance, inverse, wrap_angle
+from hitchhike_ros.localization.ekf import mahalanobis_squared, pose_error
 from hitchhike_ros.protocol.events import Situation
 from hitchhike_ros.protocol.hitchhiker.ride import Restart, Ride
-from hitchhike_ros.protocol.messages import Decouple, Driver, RearMarker
+from hitchhike_ros.protocol.hitchhiker.sightings import Sightings
+from hitchhike_ros.protocol.messages import Decouple, Driver, RearMarker, covariance_rows
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from protocol_helpers import BOXES, CAMERA, MARKER_POSE, SIGMA, messages
 
@@ -208,7 +211,9 @@ T_MAP_ODOM = Pose2D(5.0, -2.0, 0.7)
 """Of the rider in these tests."""
 
 
-def _drive(ride: Ride, metres: float, turn: float = 0.0) -> tuple[Pose2D, Pose2D]:
+def _drive(
+    ride: Ride, metres: float, turn: float = 0.0, error: Pose2D | None = None, sigma: Any = SIGMA
+) -> tuple[Pose2D, Pose2D]:
     """The rider follows in the gap; where the driver and it stand in the end, in ``map``."""
     driver = Pose2D(1.0, 2.0, 0.3)
     to_rider = compose(MARKER_POSE, inverse(Pose2D(CAMERA[0] + 0.8, 0.0, math.pi)))
@@ -216,7 +221,9 @@ def _drive(ride: Ride, metres: float, turn: float = 0.0) -> tuple[Pose2D, Pose2D
         own = compose(driver, to_rider)
         odom = between(T_MAP_ODOM, own)
         now = 10.0 + 0.2 * i
-        message = _told(x=driver.x, y=driver.y, theta=driver.theta)
+        wrong = error or Pose2D()
+        told = Pose2D(driver.x + wrong.x, driver.y + wrong.y, driver.theta + wrong.theta)
+        message = _told(x=told.x, y=told.y, theta=told.theta, sigma=sigma)
         ride.hear(message, now)
         ride.match(message, _view(0.8, now, seen_from=odom), now)
         driver = compose(driver, Pose2D(0.1, 0.0, turn * 0.1))
@@ -294,6 +301,166 @@ def test_where_the_driver_is_follows_from_the_own_pose_and_the_marker() -> None:
     assert place is not None
     assert (place.x, place.y, place.theta) == pytest.approx((driver.x, driver.y, driver.theta))
     assert ride.pose_ahead(own, Situation(observation=seen), 11.0) is None
+
+
+# What is told and what is seen are of different times.
+
+
+def _rides(
+    ride: Ride,
+    driver_at: Callable[[float], Pose2D],
+    until: float,
+    *,
+    age_s: float = 0.0,
+    image_s: float = 0.3,
+    latency_s: float = 0.1,
+    rng: np.random.Generator | None = None,
+    error: Pose2D | None = None,
+    sigma: Any = SIGMA,
+) -> tuple[Pose2D, Pose2D]:
+    """The rider looks every ``image_s`` at images ``latency_s`` old, and hears every 0.5 s where the driver, wrong by
+    ``error``, was ``age_s`` ago. It follows exactly, 2.4 s later. Where both are in the end."""
+
+    def own_at(t: float) -> Pose2D:
+        return driver_at(t - 2.4)
+
+    wrong = error or Pose2D()
+    for k in range(round((until - 10.0) / 0.1) + 1):
+        now, looks = 10.0 + 0.1 * k, k % round(image_s / 0.1) == 0
+        if looks:
+            stamp = now - latency_s
+            seen = between(own_at(stamp), compose(driver_at(stamp), MARKER_POSE))
+            noise = np.zeros(3) if rng is None else rng.normal(0.0, [0.005, 0.005, 0.05])
+            pose = Pose2D(seen.x + noise[0], seen.y + noise[1], seen.theta + noise[2])
+            observation = MarkerObservation(stamp, 0, pose, np.diag(np.square([0.005, 0.005, 0.05])))
+            view = Situation(observation=observation, seen_from=between(T_MAP_ODOM, own_at(stamp)))
+            ride.look(view, now)
+        if k % 5 == 0:
+            true = driver_at(now - age_s)
+            told = Pose2D(true.x + wrong.x, true.y + wrong.y, true.theta + wrong.theta)
+            message = _told(x=told.x, y=told.y, theta=told.theta, age_s=age_s, sigma=sigma)
+            ride.hear(message, now)
+            ride.match(message, view, now)
+    return driver_at(until), own_at(until)
+
+
+def _round_the_corner(t: float) -> Pose2D:
+    """At 0.5 m/s, 2 m straight on, then round a bend of 1 m; it began at 7 s."""
+    s = 0.5 * (t - 7.0)
+    if s <= 2.0:
+        return Pose2D(s, 0.0, 0.0)
+    turn = min((s - 2.0) / 1.0, math.pi / 2)
+    on = max(0.0, s - 2.0 - math.pi / 2)
+    return compose(Pose2D(2.0 + math.sin(turn), 1.0 - math.cos(turn), turn), Pose2D(on))
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.1, 0.35])
+@pytest.mark.parametrize("image_s", [0.1, 0.3])
+def test_what_was_told_is_laid_on_what_was_seen_at_that_very_time(age_s: float, image_s: float) -> None:
+    """Laid on the newest image of when the message came, it was 0.2 m and 0.11 rad off behind the bend."""
+    ride = _ride()
+    _, own = _rides(ride, _round_the_corner, 17.0, age_s=age_s, image_s=image_s)
+    pose = ride.rough_pose(Situation(odom_pose=between(T_MAP_ODOM, own)), 17.0)
+    assert pose is not None
+    assert distance(pose.pose, own) < 0.01
+    assert abs(wrap_angle(pose.pose.theta - own.theta)) < 0.01
+
+
+@pytest.mark.parametrize("age_s", [2.0, 30.0])
+def test_what_is_told_of_a_time_without_images_is_laid_on_none(age_s: float) -> None:
+    ride = _ride()
+    _, own = _rides(ride, _round_the_corner, 13.0, age_s=age_s, image_s=1.0)
+    pose = ride.rough_pose(Situation(odom_pose=between(T_MAP_ODOM, own)), 13.0)
+    assert pose is not None
+    assert pose.covariance[0, 0] >= (0.5 + 0.6 * age_s) ** 2 - 1e-9  # from the message alone
+
+
+@pytest.mark.parametrize("sigma", [(0.03, 0.03, 0.02), (0.2, 0.1, 0.05), (0.3, 0.3, 0.15)])
+def test_a_rider_that_lost_its_driver_knows_how_badly_the_driver_knew_its_place(
+    sigma: tuple[float, float, float],
+) -> None:
+    """With the second of these the squared normalised error was 8, with the third 26."""
+    known = np.diag(np.square(sigma))
+    scores = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        error = Pose2D(*rng.multivariate_normal(np.zeros(3), known))
+        ride = _ride()
+        _, own = _rides(ride, _round_the_corner, 17.0, rng=rng, error=error, sigma=covariance_rows(known))
+        pose = ride.rough_pose(Situation(odom_pose=between(T_MAP_ODOM, own)), 17.0)
+        assert pose is not None
+        scores.append(mahalanobis_squared(pose_error(pose.pose, own), pose.covariance))
+    assert np.mean(scores) < 3.5
+
+
+@pytest.mark.parametrize("heading_sigma", [0.01, 0.04, 0.07])
+@pytest.mark.parametrize("yaw_sigma", [0.01, 0.05])
+def test_the_heading_of_the_way_corrects_what_is_known_worst(heading_sigma: float, yaw_sigma: float) -> None:
+    """The heading that the driver tells is not exact. Taken to be, beside a look that is good to 0.01 rad, its error of
+    0.07 rad stayed in the rider's heading by more than half; what the way tells is good to 0.015 rad."""
+    known = np.diag(np.square([0.01, 0.01, heading_sigma]))
+    scores, errors = [], []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        error = Pose2D(*rng.multivariate_normal(np.zeros(3), known))
+        ride = _ride()
+        drift = rng.normal(0.0, 0.015)  # of the wheels
+        driver, own = _drive(ride, 4.0, error=error, sigma=covariance_rows(known))
+        look = between(own, compose(driver, MARKER_POSE))
+        noise = rng.normal(0.0, [0.003, 0.003, yaw_sigma])
+        seen = MarkerObservation(
+            60.0,
+            0,
+            Pose2D(look.x + noise[0], look.y + noise[1], look.theta + noise[2]),
+            np.diag(np.square([0.003, 0.003, yaw_sigma])),
+        )
+        odom = between(T_MAP_ODOM, own)
+        ride._sightings = Sightings()  # it has stood for a while
+        situation = Situation(seen_from=replace(odom, theta=odom.theta + drift))
+        pose = ride.pose_behind_driver(seen, situation, 60.0)
+        assert pose is not None
+        miss = pose_error(pose.pose, own)
+        errors.append(miss[2])
+        scores.append(mahalanobis_squared(miss, pose.covariance))
+    assert 1.5 < np.mean(scores) < 4.0
+    assert np.std(errors) < 1.3 * min(math.hypot(heading_sigma, yaw_sigma), 0.018)
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.4, 0.8])
+def test_a_pose_of_a_while_ago_is_that_of_the_look_of_a_while_ago(age_s: float) -> None:
+    """In a convoy the driver tells of the robot ahead as it was when somebody saw it. Paired with what is seen now,
+    0.4 s later in a bend, the own pose was 0.2 m and 0.2 rad off."""
+    ride = _ride()
+    driver, own = _rides(ride, _round_the_corner, 14.0, age_s=age_s, image_s=0.1)
+    stamp = 14.0
+    seen = MarkerObservation(stamp, 0, between(own, compose(driver, MARKER_POSE)), np.diag([1e-6, 1e-6, 1e-6]))
+    situation = Situation(observation=seen, seen_from=between(T_MAP_ODOM, own))
+    pose = ride.pose_behind_driver(seen, situation, 14.0)
+    assert pose is not None
+    assert pose.stamp == stamp
+    assert distance(pose.pose, own) < 0.01
+    assert abs(wrap_angle(pose.pose.theta - own.theta)) < 0.01
+
+
+def test_in_line_as_the_papers_take_it_the_heading_is_the_drivers() -> None:
+    ride = _ride(handover="paper")
+    driver, own = _drive(ride, 3.0)
+    seen = between(own, compose(driver, MARKER_POSE))
+    skewed = MarkerObservation(30.0, 0, replace(seen, y=seen.y + 0.1), np.diag([1e-4, 1e-4, 0.15**2]))
+    pose = ride.pose_behind_driver(skewed, Situation(seen_from=between(T_MAP_ODOM, own)), 30.0)
+    assert pose is not None
+    assert pose.pose.theta == pytest.approx(driver.theta)
+    np.testing.assert_allclose(pose.covariance, SIGMA)
+
+
+@pytest.mark.parametrize("odom", [None, Pose2D(1.0, 2.0, 0.3)])
+def test_a_robot_that_rolls_on_after_the_restart_does_not_take_the_driver_along(odom: Pose2D | None) -> None:
+    driver, gone = Pose2D(4.0, 4.5, 0.4), Pose2D(0.2, 0.0, 0.1)
+    restart = Restart(GIVEN, driver, odom)
+    own = GIVEN.pose if odom is None else compose(GIVEN.pose, gone)
+    place = restart.ahead_from(own, None if odom is None else compose(odom, gone))
+    assert place is not None
+    assert (place.x, place.y, place.theta) == pytest.approx((driver.x, driver.y, driver.theta))
 
 
 # Localization starts again.
