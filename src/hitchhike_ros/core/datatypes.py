@@ -63,11 +63,15 @@ class PoseEstimate:
 
 @dataclass(frozen=True)
 class Odometry:
-    """Pose in the robot's ``odom`` frame and twist in its base frame, from the wheels."""
+    """Pose in the robot's ``odom`` frame and twist in its base frame, from the wheels.
+
+    ``frame_id`` is what the driver calls that frame; empty: as the robot does.
+    """
 
     stamp: float
     pose: Pose2D
     twist: Twist2D
+    frame_id: str = ""
 
 
 @dataclass(frozen=True, eq=False)

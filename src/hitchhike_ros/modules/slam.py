@@ -83,11 +83,13 @@ class SlamParameters:
 class SlamOutputs(Outputs):
     """What scans, or other inputs, give.
 
-    ``T_map_odom`` has the time from which it holds; ``particles`` (N, 3) are those of ``pose``.
+    ``T_map_odom`` has the time until which it holds; ``particles`` (N, 3) are those of ``pose``. ``odom_frame`` is what
+    the newest odometry calls its frame.
     """
 
     pose: PoseEstimate | None = None
     T_map_odom: tuple[float, Pose2D] | None = None
+    odom_frame: str = ""
     particles: FloatArray | None = None
     grid: OccupancyGrid | None = None
     boxes: FoundObstacles | None = None
@@ -135,6 +137,7 @@ class Slam:
         self._contradicted_since = math.inf  # by all scans that were worked on
         self._scanned_at = self._watched_at = self._repeated_at = self._stepped_at = -math.inf
         self._T_map_odom: Pose2D | None = None
+        self._odom_frame = ""  # as the driver of the base calls it
         self._mapped: tuple[Obstacle, ...] | None = None  # the boxes that were told last,
         self._mapped_at = -math.inf  # and when
         self._counters: Counter[str] = Counter()
@@ -233,7 +236,7 @@ class Slam:
             self._repeated_at = now
             said["T_map_odom"] = (now + self._params.repeat_holds_s, self._T_map_odom)
         health = replace(self._health, counters={**self._health.counters, **self._counters})
-        return SlamOutputs(health=health, **said)
+        return SlamOutputs(health=health, odom_frame=self._odom_frame, **said)
 
     def _silent_from(self) -> float:
         """When the next is to be said of scans that do not come."""
@@ -319,7 +322,7 @@ class Slam:
         except SensorDataError as exc:
             self._refuse(Odometry, str(exc))
             return
-        self._odometry_problem = ""
+        self._odometry_problem, self._odom_frame = "", odometry.frame_id
         twist = self._localizer.twist
         self._stands = max(abs(twist.v), abs(twist.omega)) <= _STANDS
         self._settled = self._settled and self._stands

@@ -100,7 +100,8 @@ def estimate_to_msg(estimate: PoseEstimate, frame_id: str = "map") -> PoseWithCo
 
 def odometry_from_msg(msg: OdometryMsg) -> Odometry:
     """Raises SensorDataError when pose or twist is not finite."""
-    odometry = Odometry(msg.header.stamp.to_sec(), pose_from_msg(msg.pose.pose), twist_from_msg(msg.twist.twist))
+    pose, twist = pose_from_msg(msg.pose.pose), twist_from_msg(msg.twist.twist)
+    odometry = Odometry(msg.header.stamp.to_sec(), pose, twist, msg.header.frame_id.strip("/"))
     if not (odometry.pose.is_finite() and odometry.twist.is_finite()):
         raise SensorDataError(f"odometry at {odometry.stamp:.2f} s is not finite")
     return odometry

@@ -181,15 +181,17 @@ def _clouds(outputs: SlamOutputs) -> Iterable[PoseArray]:
 
 
 def slam_outlets(odom_frame: str) -> tuple[Outlet, ...]:
-    """The outputs of slam; ``odom_frame`` is the robot's frame ``odom``."""
+    """The outputs of slam; ``odom_frame`` is the robot's frame ``odom`` where its odometry names none."""
 
-    def transforms(T_map_odom: tuple[float, Pose2D]) -> Iterable[TFMessage]:
-        stamp, pose = T_map_odom
-        transform = Transform(Vector3(pose.x, pose.y, 0.0), quaternion_from_yaw(pose.theta))
-        yield TFMessage([TransformStamped(header(stamp, "map"), odom_frame, transform)])
+    def transforms(outputs: SlamOutputs) -> Iterable[TFMessage]:
+        if outputs.T_map_odom is not None:
+            stamp, pose = outputs.T_map_odom
+            transform = Transform(Vector3(pose.x, pose.y, 0.0), quaternion_from_yaw(pose.theta))
+            child = outputs.odom_frame or odom_frame
+            yield TFMessage([TransformStamped(header(stamp, "map"), child, transform)])
 
     return (
-        Outlet("T_map_odom", "/tf", TFMessage, transforms, queue_size=100),
+        Outlet("", "/tf", TFMessage, transforms, queue_size=100),
         Outlet("pose", "amcl_pose", PoseWithCovarianceStamped, lambda estimate: (estimate_to_msg(estimate),)),
         Outlet("", "particlecloud", PoseArray, _clouds),
         Outlet("boxes", "new_obstacles", String, _boxes, latch=True),

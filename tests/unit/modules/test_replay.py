@@ -111,7 +111,7 @@ def message(x: Any) -> Any:
     """A sensor's reading, or what comes from other robots and people, as the message that would carry it."""
     match x:
         case Odometry():
-            return odometry_to_msg(x, "odom", "base_footprint")
+            return odometry_to_msg(x, x.frame_id, "base_footprint")
         case LaserScan():
             return scan_to_msg(x, "laser")
         case CameraInfo():

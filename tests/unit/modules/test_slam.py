@@ -630,6 +630,15 @@ def test_off_the_last_transform_is_repeated_and_holds_until_it_is_repeated_again
         now = due
 
 
+@pytest.mark.parametrize("frame", ["", "odom", "robbie/odom"])
+def test_it_says_what_odometry_calls_its_frame(frame: str) -> None:
+    rig = Rig()
+    rig.sense(Odometry(1.0, Pose2D(), Twist2D(), frame), 1.0)
+    assert rig.scan(1.0).odom_frame == frame
+    rig.order(status(OFF), 2.0)
+    assert rig.drain(2.0).odom_frame == frame
+
+
 def test_on_it_is_not_repeated() -> None:
     rig = Rig()
     rig.scan(1.0)

@@ -10,12 +10,14 @@ import rospy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchhike_ros.core.datatypes import LaserScan
+from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, Twist2D
 from hitchhike_ros.core.geometry import matrix_from_xyz_rpy
 from hitchhike_ros.core.stamps import carried
 from hitchhike_ros.ros_io.conversions import (
     LaserScanArrayMsg,
     header,
+    odometry_from_msg,
+    odometry_to_msg,
     scan_from_msg,
     scan_to_msg,
     to_stamp,
@@ -81,3 +83,11 @@ def test_a_matrix_as_a_transform(rpy: tuple[float, float, float], quaternion: tu
     q = transform.rotation
     found = np.array([q.x, q.y, q.z, q.w])
     assert found * np.sign(found @ quaternion) == pytest.approx(quaternion)  # both signs are one rotation
+
+
+@pytest.mark.parametrize(("told", "kept"), [("odom", "odom"), ("/p3dx/odom", "p3dx/odom"), ("", "")])
+def test_odometry_keeps_the_name_of_its_frame(told: str, kept: str) -> None:
+    odometry = Odometry(1.0, Pose2D(1.0, 2.0, 0.5), Twist2D(0.3, 0.1))
+    back = odometry_from_msg(odometry_to_msg(odometry, told, "base_link"))
+    assert back.frame_id == kept
+    assert (back.stamp, back.twist) == (odometry.stamp, odometry.twist)

@@ -59,6 +59,12 @@ def test_a_pose_comes_with_its_transform_and_its_particles() -> None:
     assert cloud.poses[1].orientation.z == pytest.approx(math.sin(-0.25))
 
 
+@pytest.mark.parametrize(("told", "published"), [("", "p3dx/odom"), ("odom", "odom"), ("robbie/odom", "robbie/odom")])
+def test_the_map_is_joined_to_the_frame_that_odometry_names(told: str, published: str) -> None:
+    (transform,) = messages(SlamOutputs(health=Health(), T_map_odom=(2.5, Pose2D()), odom_frame=told))["/tf"].transforms
+    assert transform.child_frame_id == published
+
+
 def test_without_particles_there_is_no_cloud() -> None:
     assert set(messages(SlamOutputs(health=Health(), pose=ESTIMATE))) == {"amcl_pose"}
 
