@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from tamper import Tamper, empty_calibration, nan_odometry, nan_scan, nothing
+from tamper import Tamper, empty_calibration, holey_scan, nan_odometry, nan_scan, nothing
 from watch import Watch
 
 ROBOT = "turtlebot"
@@ -60,6 +60,10 @@ class FaultTest(unittest.TestCase):
 
 class Driving(FaultTest):
     def test_laser_and_wheels(self) -> None:
+        self.tamper.spoil("scan", holey_scan)
+        self.drives()
+        self.tamper.heal("scan")
+        self.watch.until(lambda: "scan" in self.tamper.last_good, 30, "a whole scan comes")
         for topic, how, module, words in (
             ("scan", nan_scan, "obstacle_avoidance", ("NaN",)),
             ("odom", nan_odometry, "obstacle_avoidance", ("not finite",)),
@@ -80,7 +84,7 @@ class Following(FaultTest):
         self.pull = rospy.Timer(rospy.Duration(0.2), lambda _event: self.lead.publish(command))
         self.addCleanup(self.pull.shutdown)
 
-    def test_camera_and_wheels(self) -> None:
+    def test_camera_laser_and_wheels(self) -> None:
         self.tamper.spoil("camera/camera_info", nothing)
 
         def uncalibrated() -> bool:
@@ -93,6 +97,8 @@ class Following(FaultTest):
         for topic, how, words in (
             ("camera/image_raw", nothing, ("no image",)),
             ("odom", nan_odometry, ("not finite",)),
+            ("scan", nan_scan, ("NaN",)),
+            ("scan", nothing, ("no scan",)),
             ("camera/camera_info", empty_calibration, ("K",)),
         ):
             self.drives()

@@ -90,6 +90,12 @@ def nan_scan(msg: LaserScan) -> LaserScan:
     return msg
 
 
+def holey_scan(msg: LaserScan) -> LaserScan:
+    """As of drivers that send NaN, or 0.0, for what does not return."""
+    msg.ranges = [(r, math.nan, 0.0, r)[k % 4] for k, r in enumerate(msg.ranges)]
+    return msg
+
+
 def empty_calibration(msg: CameraInfo) -> CameraInfo:
     msg.K = [0.0] * 9
     return msg

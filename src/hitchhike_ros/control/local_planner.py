@@ -33,6 +33,7 @@ from hitchhike_ros.core.errors import PlanningError, SensorDataError
 from hitchhike_ros.core.geometry import between, distance
 from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.mapping.laser import ScanParameters
 
 # A robot's outline as points no farther apart than the field's cells.
 _OUTLINE_POINTS = 48
@@ -43,8 +44,11 @@ _PATH_END_M = 0.2
 class LocalPlanner:
     """Drives one robot along one path at a time. Call :meth:`step` with each scan."""
 
-    def __init__(self, limits: RobotLimits, params: LocalPlannerParameters) -> None:
+    def __init__(
+        self, limits: RobotLimits, params: LocalPlannerParameters, scan_params: ScanParameters | None = None
+    ) -> None:
         self._params, self._limits = params, limits
+        self._scan_params = scan_params or ScanParameters()
         self._rider_limits = replace(
             limits,
             max_speed_mps=min(limits.max_speed_mps, params.rider_speed_mps),
@@ -149,7 +153,7 @@ class LocalPlanner:
             raise SensorDataError(f"speed limit is {speed_limit}")
         if not abs(now - scan.stamp) <= self._params.max_age_s:
             raise SensorDataError(f"scan is {now - scan.stamp:.2f} s old")
-        return scan_points(scan, self._params.max_nan_fraction)
+        return scan_points(scan, self._scan_params.max_bad_share)
 
     def _outline(self, pose: Pose2D, other: Pose2D, radius_m: float) -> FloatArray:
         """Points (N, 2) around another robot, in the own frame; of one that is too near only what leaves room to go."""

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import msgspec
 
-from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive, UnitInterval
+from hitchhike_ros.core.datatypes import FloatArray, NonNegative, Positive
 
 Samples = Annotated[int, msgspec.Meta(ge=2)]
 
@@ -19,7 +19,6 @@ class LocalPlannerParameters:
     goal_tolerance_m: Positive = 0.10
     goal_tolerance_rad: Positive = 0.087  # 5°
     max_age_s: Positive = 0.25  # an older scan is no basis for motion
-    max_nan_fraction: UnitInterval = 0.1
     margin_m: NonNegative = 0.05  # the footprint never comes closer than this on purpose
     comfort_m: Positive = 0.35  # closer than this costs
     reaction_s: Positive = 0.25  # from a scan until the next command acts

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hitchhike_ros.control.clearance import Footprint
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D
-from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.geometry import compose, inverse, transform_points
+from hitchhike_ros.mapping.laser import beam_towards, check_scan
 
 _REACH_M = 4.0  # farther points do not matter to a local controller
 _SEE_THROUGH_M = 0.1  # a beam that ends this much behind a remembered point has shown that the point is gone
 _CELL_M = 0.04
 
 
-def scan_points(scan: LaserScan, max_nan_fraction: float) -> FloatArray:
-    """Where the beams ended, (N, 2) in the laser's frame.
-
-    +inf and beyond ``range_max`` is free space; -inf and below ``range_min`` is an obstacle at ``range_min``; a few NaN
-    are left out.
+def scan_points(scan: LaserScan, max_bad_share: float = 1.0) -> FloatArray:
+    """Where the beams ended, (N, 2) in the laser's frame; what is too close to be measured is at ``range_min``.
 
     Raises:
-        SensorDataError: the scan is empty, its geometry is senseless, or too many of its beams are NaN.
+        SensorDataError: the scan is empty, its geometry is senseless, or too many of its beams are bad.
     """
-    if scan.ranges.size == 0:
-        raise SensorDataError("scan is empty")
-    geometry = (scan.stamp, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
-    if not all(map(math.isfinite, geometry)) or scan.angle_increment == 0 or not 0 <= scan.range_min < scan.range_max:
-        raise SensorDataError("scan has senseless angles or range limits")
-    broken = np.isnan(scan.ranges)
-    if broken.mean() > max_nan_fraction:
-        raise SensorDataError(f"scan has {int(broken.sum())} of {broken.size} beams NaN")
-    hit = ~broken & (scan.ranges <= min(scan.range_max, _REACH_M))
+    check_scan(scan, max_bad_share)
+    with np.errstate(invalid="ignore"):
+        hit = scan.ranges <= min(scan.range_max, _REACH_M)  # false for NaN
     ranges, angles = np.maximum(scan.ranges[hit], scan.range_min), scan.angles()[hit]
     return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1)
 
@@ -86,11 +75,10 @@ class ObstacleMemory:
     @staticmethod
     def _seen_through(scan: LaserScan, points: FloatArray) -> np.ndarray:
         """Mask (N,) of points in the laser's frame where a beam passes or ends: the scan itself tells of them."""
-        bearing = np.arctan2(points[:, 1], points[:, 0])
-        beam = np.rint((bearing - scan.angle_min) / scan.angle_increment).astype(np.int64)
-        in_view = (beam >= 0) & (beam < scan.ranges.size)
+        beam = beam_towards(scan, np.arctan2(points[:, 1], points[:, 0]))
+        in_view = beam < scan.ranges.size
         ranges = np.hypot(points[:, 0], points[:, 1])
-        measured = scan.ranges[np.clip(beam, 0, scan.ranges.size - 1)]
+        measured = scan.ranges[np.where(in_view, beam, 0)]
         with np.errstate(invalid="ignore"):
             passes = measured >= ranges - _SEE_THROUGH_M  # false for NaN
         return in_view & (ranges >= scan.range_min) & passes

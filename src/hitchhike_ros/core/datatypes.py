@@ -78,9 +78,17 @@ class Odometry:
 class LaserScan:
     """One planar scan in the laser's frame.
 
-    ``ranges`` is (N,); beam i points to ``angle_min + i * angle_increment``. REP 117: +inf is no return, -inf is too
-    close, NaN is a broken reading. All numbers but the stamp have the precision of sensor_msgs/LaserScan, so that a
-    scan is the same whether or not it has been a message.
+    ``ranges`` is (N,); beam i points to ``angle_min + i * angle_increment``, counter-clockwise: beams that come the
+    other way round are turned about. Whatever a driver sends for them, a reading is one of four (REP 117):
+
+    - within the sensor's limits: something is there;
+    - +inf: no return, as is what lies beyond ``range_max``;
+    - -inf: something is too close to be measured;
+    - NaN: left out. It says neither that something is there nor that nothing is. So are numbers below ``range_min``,
+      the zeros and error codes of many drivers.
+
+    All numbers but the stamp have the precision of sensor_msgs/LaserScan, so that a scan is the same whether or not it
+    has been a message.
     """
 
     stamp: float
@@ -93,7 +101,22 @@ class LaserScan:
     def __post_init__(self) -> None:
         for name in ("angle_min", "angle_increment", "range_min", "range_max"):
             object.__setattr__(self, name, float(np.float32(getattr(self, name))))
-        object.__setattr__(self, "ranges", np.asarray(self.ranges, np.float32))
+        ranges = np.asarray(self.ranges, np.float32)
+        if self.angle_increment < 0.0:
+            last = float(np.float32(self.angle_min + self.angle_increment * (ranges.size - 1)))
+            object.__setattr__(self, "angle_min", last)
+            object.__setattr__(self, "angle_increment", -self.angle_increment)
+            ranges = ranges[::-1]
+        with np.errstate(invalid="ignore"):
+            below = (ranges < self.range_min) & (ranges != -np.inf)
+            beyond = (ranges > self.range_max) & (ranges != np.inf)
+        if below.any() or beyond.any():
+            ranges = np.where(below, np.float32(np.nan), np.where(beyond, np.float32(np.inf), ranges))
+        object.__setattr__(self, "ranges", ranges)
+
+    def bad_share(self) -> float:
+        """Share of the beams that are left out; of a scan without beams all are."""
+        return float(np.isnan(self.ranges).mean()) if self.ranges.size else 1.0
 
     def angles(self) -> FloatArray:
         """Bearing of each beam, (N,) rad."""

@@ -8,9 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, Positive
+from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Pose2D, Positive, UnitInterval
 from hitchhike_ros.core.errors import SensorDataError
 from hitchhike_ros.core.geometry import transform_points
+
+
+@dataclass(frozen=True)
+class ScanParameters:
+    """Section ``scan``: which scans all modules of a robot use."""
+
+    max_bad_share: UnitInterval = 0.9
+    """Of a scan with a greater share of bad beams (NaN or below ``range_min``) nothing is used: the robot stands.
+    Drivers that send NaN or 0.0 for "no return" leave more than half of the beams out in a large room (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +50,24 @@ class EndPoints:
     beams: npt.NDArray[np.int64]
 
 
-def check_scan(scan: LaserScan) -> None:
-    """Raises SensorDataError when the scan has no beams, senseless angles or NaN ranges."""
-    if scan.ranges.size == 0 or not (np.isfinite([scan.stamp, scan.angle_min]).all() and scan.angle_increment > 0.0):
-        raise SensorDataError(f"scan at {scan.stamp:.2f} s is empty or has senseless angles")
-    broken = int(np.isnan(scan.ranges).sum())
-    if broken:
-        raise SensorDataError(f"scan at {scan.stamp:.2f} s has {broken} NaN beams")
+def check_scan(scan: LaserScan, max_bad_share: float = 1.0) -> None:
+    """Raises SensorDataError where a scan has senseless angles or limits, or more bad beams than ``max_bad_share``, or
+    nothing else."""
+    if scan.ranges.size == 0:
+        raise SensorDataError("scan is empty, expected ranges")
+    angles = (scan.stamp, scan.angle_min, scan.angle_increment)
+    if not (all(map(math.isfinite, angles)) and scan.angle_increment > 0.0):
+        raise SensorDataError(f"scan has senseless stamp or angles {angles}, expected finite ones and an increment")
+    if not (0.0 <= scan.range_min < scan.range_max):
+        raise SensorDataError(
+            f"scan has senseless range limits {scan.range_min}, {scan.range_max}, expected 0 <= range_min < range_max"
+        )
+    share = scan.bad_share()
+    if share > max_bad_share or share == 1.0:
+        raise SensorDataError(
+            f"scan: {int(np.isnan(scan.ranges).sum())} of {scan.ranges.size} beams are NaN or below range_min "
+            f"{scan.range_min:.2f} m, expected at most {max_bad_share:.0%} (scan/max_bad_share)"
+        )
 
 
 def end_points(scan: LaserScan, T_base_laser: Pose2D, max_range_m: float = np.inf) -> EndPoints:
@@ -56,6 +76,12 @@ def end_points(scan: LaserScan, T_base_laser: Pose2D, max_range_m: float = np.in
     ranges, angles = scan.ranges[beams].astype(float), scan.angle_min + scan.angle_increment * beams
     points = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
     return EndPoints(transform_points(T_base_laser, points), ranges, beams)
+
+
+def beam_towards(scan: LaserScan, bearings: FloatArray) -> npt.NDArray[np.int64]:
+    """The beams (N,) nearest to ``bearings`` (N,) in the laser's frame, in rad; ``ranges.size`` or more without one."""
+    turns = np.mod(bearings - scan.angle_min + 0.5 * scan.angle_increment, 2 * math.pi)
+    return np.floor(turns / scan.angle_increment).astype(np.int64)
 
 
 def passed_through(
@@ -75,8 +101,7 @@ def passed_through(
     """
     offset = points - (T_map_laser.x, T_map_laser.y)
     range_m = np.hypot(offset[:, 0], offset[:, 1])
-    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - T_map_laser.theta - scan.angle_min
-    beam = np.rint(np.mod(bearing, 2 * math.pi) / scan.angle_increment).astype(np.int64)
+    beam = beam_towards(scan, np.arctan2(offset[:, 1], offset[:, 0]) - T_map_laser.theta)
     seen = (beam < scan.ranges.size) & (range_m > scan.range_min)
     measured = scan.ranges[np.where(seen, beam, 0)]
     return seen & (measured > range_m + np.maximum(clearance_m, 3.0 * noise.sigma(range_m))), range_m

@@ -26,6 +26,7 @@ from hitchhike_ros.core.errors import PlanningError, SensorDataError, TeleopErro
 from hitchhike_ros.core.geometry import compose, distance, pose_from_matrix, wrap_angle
 from hitchhike_ros.core.pose_buffer import PoseBuffer
 from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.mapping.laser import ScanParameters, check_scan
 from hitchhike_ros.modules.inputs import NavigationCommand, PlannedPath, TeleopActive, TeleopCommand
 from hitchhike_ros.modules.module import ORDER_MAX_AGE_S, Health, Level, Order, Orders, Outputs, Refused
 from hitchhike_ros.modules.robot_files import RobotFiles
@@ -77,10 +78,11 @@ class ObstacleAvoidance:
         teleop_params: TeleopAuthorityParameters,
         limits: RobotLimits,
         T_base_laser: Pose2D,
+        scan_params: ScanParameters | None = None,
     ) -> None:
         self._params, self._wall_params, self._limits = params, wall_params, limits
-        self._T_base_laser = T_base_laser
-        self._local_planner = LocalPlanner(limits, params)
+        self._T_base_laser, self._scan_params = T_base_laser, scan_params or ScanParameters()
+        self._local_planner = LocalPlanner(limits, params, self._scan_params)
         self._teleop_authority = TeleopAuthority(teleop_params)
         self._wheels, self._driven = WheelWatch(), Twist2D()  # and what they were told last
         self._orders = Orders()
@@ -102,6 +104,7 @@ class ObstacleAvoidance:
             files.load(TeleopAuthorityParameters, "teleop_authority"),
             files.load(RobotLimits, "robot"),
             pose_from_matrix(files.mount("laser")),
+            files.load(ScanParameters, "scan"),
         )
 
     def _forget(self, now: float) -> None:
@@ -116,6 +119,7 @@ class ObstacleAvoidance:
         self._decide_by = math.inf  # on a scan that waits for its pose
         self._awaits_poses = True  # one that did not come is not awaited again until one comes
         self._heard_at = now  # of the laser
+        self._bad_share = 0.0  # of the beams of its newest scan
         self._stand_because = ""  # of something senseless that has come
         self._answered: float | None = None  # of a scan that was refused
 
@@ -133,8 +137,7 @@ class ObstacleAvoidance:
         """Store an input. A scan, or something senseless, wants a step."""
         match x:
             case LaserScan():
-                self._decide_by = min(self._decide_by, now + self._params.pose_wait_s)
-                self._scan, self._heard_at = x, now
+                self._take_laser(x, now)
             case PoseEstimate() if x.pose.is_finite():
                 self._estimate, self._pose_problem, self._awaits_poses = x, "", True
             case PoseEstimate():
@@ -191,6 +194,16 @@ class ObstacleAvoidance:
         )
 
     # What arrives.
+
+    def _take_laser(self, scan: LaserScan, now: float) -> None:
+        self._bad_share = scan.bad_share()
+        try:
+            check_scan(scan, self._scan_params.max_bad_share)
+        except SensorDataError as exc:
+            self._refuse(Refused(LaserScan, str(exc), stamp=scan.stamp), now)
+            return
+        self._decide_by = min(self._decide_by, now + self._params.pose_wait_s)
+        self._scan, self._heard_at = scan, now
 
     def _take_odometry(self, odometry: Odometry, now: float) -> None:
         try:
@@ -362,7 +375,9 @@ class ObstacleAvoidance:
         self._report, self._level, self._command = report, level, command
 
     def _health(self) -> Health:
-        counters = {name: count for name, count in self._refused.items() if count}
+        counters: dict[str, object] = {name: count for name, count in self._refused.items() if count}
+        if self._bad_share:
+            counters["bad_beam_share"] = round(self._bad_share, 3)
         if not self.on:
             return Health(Level.OK, "off", counters)
         if self._goal is None and self._status is None:

@@ -27,6 +27,7 @@ from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.methods import Method, make_localizer
 from hitchhike_ros.localization.particle_localizer import ParticleLocalizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.laser import ScanParameters, check_scan
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, InitialPose
 from hitchhike_ros.modules.module import Health, Level, Order, Orders, Outputs, Refused
@@ -111,6 +112,7 @@ class Slam:
         T_base_laser: Pose2D,
         *,
         alone: bool = False,
+        scan_params: ScanParameters | None = None,
     ) -> None:
         """A module that is off until the status says otherwise; ``alone`` it is on, whatever the status.
 
@@ -121,7 +123,10 @@ class Slam:
             grid: the original map.
             T_base_laser: the laser's mount.
             alone: whether it works without a status.
+            scan_params: which scans are used.
         """
+        self._scan_params = scan_params or ScanParameters()
+        self._bad_share = 0.0  # of the newest scan's beams
         self._params, self._localizer, self._mapper = params, localizer, mapper
         self._grid, self._T_base_laser, self._alone = grid, T_base_laser, alone
         self._orders = Orders(Status(0.0, "") if alone else None)
@@ -162,7 +167,9 @@ class Slam:
         markers, T_base_laser = files.sites.markers, pose_from_matrix(files.mount("laser"))
         grid = files.grid  # last, as it may have to be awaited
         localizer = make_localizer(method, grid, markers, localization, T_base_laser)
-        return cls(params, localizer, NewObstacleMapper(grid, mapping), grid, T_base_laser, alone=alone)
+        scan_params = files.load(ScanParameters, "scan")
+        mapper = NewObstacleMapper(grid, mapping)
+        return cls(params, localizer, mapper, grid, T_base_laser, alone=alone, scan_params=scan_params)
 
     # What arrives.
 
@@ -235,7 +242,8 @@ class Slam:
         elif not self._on and self._T_map_odom and now >= self._repeated_at + self._params.repeat_period_s:
             self._repeated_at = now
             said["T_map_odom"] = (now + self._params.repeat_holds_s, self._T_map_odom)
-        health = replace(self._health, counters={**self._health.counters, **self._counters})
+        beams = {"bad_beam_share": round(self._bad_share, 3)} if self._on and self._bad_share else {}
+        health = replace(self._health, counters={**self._health.counters, **self._counters, **beams})
         return SlamOutputs(health=health, odom_frame=self._odom_frame, **said)
 
     def _silent_from(self) -> float:
@@ -258,7 +266,7 @@ class Slam:
             case Observations() if self._on:
                 self._see(x)
             case LaserScan() if self._on:
-                self._scanned_at, said["answered"] = now, x.stamp
+                self._scanned_at, said["answered"], self._bad_share = now, x.stamp, x.bad_share()
                 self._work_on(x, now, said)
                 if self._T_map_odom is not None:
                     said["T_map_odom"] = x.stamp + self._params.transform_tolerance_s, self._T_map_odom
@@ -291,6 +299,7 @@ class Slam:
             self._repeated_at = -math.inf  # what was told with the last scan holds no longer
             self._say(Level.OK, "off")
             return
+        self._bad_share = 0.0
         # Odometry from before the pause says nothing about the way since: the filter starts anew.
         self._localizer.restart()
         self._odometry_problem, self._stands, self._settled = "", False, False
@@ -348,6 +357,7 @@ class Slam:
                 if scan.stamp - self._told_at >= self._params.rest_pose_period_s:
                     self._tell_pose(self._localizer.estimate_at(scan.stamp), said)
                 return
+            check_scan(scan, self._scan_params.max_bad_share)
             used = self._localizer.update_scan(scan)
             estimate = self._localizer.estimate_at(scan.stamp)
             self._tell_pose(estimate, said)

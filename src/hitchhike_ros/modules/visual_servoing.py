@@ -31,6 +31,7 @@ from hitchhike_ros.core.errors import ParameterError, SensorDataError, StaleInpu
 from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.mapping.laser import ScanParameters
 from hitchhike_ros.modules.inputs import CameraImage, ServoingCommand
 from hitchhike_ros.modules.module import Health, Level, Order, Orders, Outputs, Refused
 from hitchhike_ros.modules.robot_files import RobotFiles
@@ -137,7 +138,7 @@ class VisualServoing:
             tracker: finds the markers.
             T_base_camera: mount (4, 4) of the camera, in its optical frame.
             law: drives; without it the module can only observe.
-            limiter: brakes for what comes between, where there is a laser.
+            limiter: brakes for what comes between, and stands without a fresh scan; None where there is no laser.
             alone: a standing order.
             unusable: why the markers that the module is there for cannot be found; the robot then stands.
         """
@@ -154,6 +155,7 @@ class VisualServoing:
         self._steady: Twist2D | None = None  # the command, while it may stay as it is for an image
         self._asked = True  # whether the next step is to be taken at once
         self._halts = False  # whether the robot is to be stopped, as it follows no more
+        self._drives = False  # whether the newest command was no stand
         self._counters: Counter[str] = Counter()
         self._health = Health(Level.OK, "off")
 
@@ -193,7 +195,8 @@ class VisualServoing:
             x, y, yaw = float(T_base_camera[0, 3]), float(T_base_camera[1, 3]), _looks_to(T_base_camera)
             law = FollowLaw(files.load(FollowParameters, "follow"), limits, x, y, yaw)
             if files.has("laser"):
-                limiter = SafetyLimiter(limits, pose_from_matrix(files.mount("laser")))
+                scan_params = files.load(ScanParameters, "scan")
+                limiter = SafetyLimiter(limits, pose_from_matrix(files.mount("laser")), scan_params)
         params = files.load(VisualServoingParameters, "visual_servoing")
         order = None if alone is None else _standing_order({} if unusable else alone, where, follows=follows)
         return cls(params, tracker, T_base_camera, law, limiter, alone=order, unusable=unusable)
@@ -218,7 +221,8 @@ class VisualServoing:
         elif isinstance(x, Odometry):
             self._take(x)
         elif isinstance(x, LaserScan) and self._limiter is not None:
-            self._limiter.see(x)
+            if not self._limiter.see(x, now):
+                self._counters["bad_scans"] += 1
         elif isinstance(x, Refused):
             self._refuse(x)
 
@@ -237,7 +241,6 @@ class VisualServoing:
             self._refuse(Refused(Odometry, str(exc)))
 
     def _refuse(self, refused: Refused) -> None:
-        """Without a usable scan nothing is limited; obstacle avoidance says so."""
         self._counters[_BAD[refused.what]] += 1
         if refused.what is CameraInfo:
             self._info, self._no_info = None, refused.reason
@@ -246,6 +249,8 @@ class VisualServoing:
             self._odometry_problem, self._steady = refused.reason, None
             if self._law is not None:
                 self._law.reset()
+        elif refused.what is LaserScan and self._limiter is not None:
+            self._limiter.refuse(refused.reason)
 
     def _obey(self, now: float) -> None:
         """Take up the newest order; a new one begins anew, as the trail of another time leads nowhere."""
@@ -268,15 +273,19 @@ class VisualServoing:
         if before is None or servo is None:
             self._image, self._info, self._no_info, self._odometry_problem = None, None, "none received", ""
             self._on_since = self._image_at = now
+            self._drives = False
+            if self._limiter is not None:
+                self._limiter.forget()
             self._health = self._say(Level.OK, "off" if servo is None else "waiting for images")
 
     # What comes of it.
 
     def next_due(self, now: float) -> float:
-        """At once for an image or a new order; when images stay away, and when the order to follow has grown old."""
+        """At once for an image or a new order; when images or scans stay away, and when the order to follow has grown
+        old."""
         if self._asked or self._image is not None or now < self._stepped_at:
             return now
-        return math.inf if self._servo is None else min(self._silent_from(), self._ordered_until())
+        return math.inf if self._servo is None else min(self._silent_from(), self._ordered_until(), self._blind_from())
 
     def step(self, now: float) -> VisualServoingOutputs:
         """Look at the image that has come, or say that none comes."""
@@ -285,7 +294,7 @@ class VisualServoing:
             self._on_since, self._image_at, self._told_at = (
                 min(at, now) for at in (self._on_since, self._image_at, self._told_at)
             )
-        silent, ended = now >= self._silent_from(), now >= self._ordered_until()
+        silent, ended, blind = (now >= at for at in (self._silent_from(), self._ordered_until(), self._blind_from()))
         image, halts = self._image, self._halts
         self._image, self._halts, self._asked, self._stepped_at = None, False, False, now
         outputs = VisualServoingOutputs(health=self._health)
@@ -299,7 +308,7 @@ class VisualServoing:
             problem = self._unusable or f"no image for {now - self._image_at:.1f} s"
             command, _, health = self._decide(self._servo, None, problem, now)
             outputs = VisualServoingOutputs(health=health, command=command, view=View.NO_IMAGE)
-        elif self._servo is not None and ended:
+        elif self._servo is not None and (ended or blind):
             command, _, health = self._decide(self._servo, None, "", now)
             outputs = VisualServoingOutputs(health=health, command=command)
         self._health = outputs.health
@@ -317,6 +326,10 @@ class VisualServoing:
         expires = self._orders.expires()
         follows = self._servo is not None and self._servo.task == "follow"
         return expires if follows and expires > self._stepped_at else math.inf
+
+    def _blind_from(self) -> float:
+        """When the newest scan becomes too old to drive by; infinity for a robot that stands, or has no laser."""
+        return self._limiter.expires() if self._limiter is not None and self._drives else math.inf
 
     def _may_leave_out(self, stamp: float, now: float) -> bool:
         """Whether an image need not be looked at; not so where the robot has to brake for what comes between."""
@@ -373,7 +386,7 @@ class VisualServoing:
 
         With a problem it stands. Nothing else steps the law.
         """
-        self._steady = None
+        self._steady, self._drives = None, False
         # The first image may come before the first calibration.
         bad = Level.ERROR if now - self._on_since > self._params.start_s else Level.WARN
         if servo.task != "follow":
@@ -382,10 +395,18 @@ class VisualServoing:
             return None, "", self._say(Level.ERROR, "cannot follow: no ~config with a section robot")
         mount = USUAL_MARKER if servo.marker_pose is None else servo.marker_pose
         decision = self._law.step(now, seen, None, servo.gap_m, servo.feed_forward_mps, servo.feed_forward_at, mount)
-        problem = problem or self._odometry_problem or self._order_problem(now)
+        unseen = "" if self._limiter is None else self._limiter.problem(now)
+        problem = problem or self._odometry_problem or self._order_problem(now) or unseen
         if problem:
             decision = FollowDecision(Twist2D(), "stopped", problem)
-        twist, limited = (decision.twist, False) if self._limiter is None else self._limiter.limit(now, decision.twist)
+        twist, limited, laser = decision.twist, False, dict[str, object]()
+        if self._limiter is None:
+            laser["laser"] = "none: it brakes for no obstacle"
+        else:
+            twist, limited = self._limiter.limit(now, decision.twist)
+            if self._limiter.bad_share:
+                laser["bad_beam_share"] = round(self._limiter.bad_share, 3)
+        self._drives = twist != Twist2D()
         if seen is not None and not limited and _is_steady(decision, servo.gap_m):
             self._steady = twist
         health = self._say(
@@ -393,6 +414,7 @@ class VisualServoing:
             f"{decision.state}: {decision.reason}" if decision.reason else decision.state,
             gap_m="" if decision.gap_m is None else round(decision.gap_m, 3),
             braked_for_an_obstacle=limited,
+            **laser,
         )
         return ServoingCommand(twist), decision.state, health
 

@@ -118,15 +118,45 @@ def odometry_to_msg(odometry: Odometry, frame_id: str, child_frame_id: str) -> O
 LaserScanArrayMsg = numpy_msg(LaserScanMsg)
 
 
+# How much of the field of view the header may say too much or too little, as drivers count a beam more or less, and a
+# turn of the mirror is not always as long; how far off a whole turn the field and the first beam may be (rad).
+_FIELD_TOLERANCE, _TURN_TOLERANCE_RAD = 0.05, 0.3
+
+
 def scan_from_msg(msg: LaserScanMsg) -> LaserScan:
-    """Raises SensorDataError when the scan is empty, its angles are senseless or beams are NaN."""
+    """A scan of whatever is legal; :class:`LaserScan` says what becomes of its beams.
+
+    ``angle_min``, ``angle_increment``, of either sign, and the number of ranges say where the beams point, as for
+    laser_geometry. ``angle_max`` has to agree with them to 5 %, unless it is not given (0 or not finite).
+
+    Raises:
+        SensorDataError: the scan is empty, or its angles or range limits are senseless: no beam of it is known.
+    """
     ranges = np.array(msg.ranges, np.float32)
-    if ranges.size == 0 or not (math.isfinite(msg.angle_min) and msg.angle_increment > 0.0):
-        raise SensorDataError(f"scan at {msg.header.stamp.to_sec():.2f} s is empty or has senseless angles")
-    if np.isnan(ranges).any():
-        raise SensorDataError(f"scan at {msg.header.stamp.to_sec():.2f} s has {int(np.isnan(ranges).sum())} NaN beams")
-    stamp = msg.header.stamp.to_sec()
-    return LaserScan(stamp, msg.angle_min, msg.angle_increment, msg.range_min, msg.range_max, ranges)
+    if ranges.size == 0:
+        raise SensorDataError("scan: ranges is empty, expected beams")
+    first, step, last = float(msg.angle_min), float(msg.angle_increment), float(msg.angle_max)
+    turn, field = 2.0 * math.pi + _TURN_TOLERANCE_RAD, step * (ranges.size - 1)
+    if not abs(first) <= turn:
+        raise SensorDataError(f"scan: angle_min is {first:.6g}, expected radians within one turn")
+    if not (step != 0.0 and abs(field) <= turn and math.isfinite(step)):
+        raise SensorDataError(
+            f"scan: angle_increment is {step:.6g} with {ranges.size} ranges, expected radians, not 0, up to one turn"
+        )
+    if last != 0.0 and math.isfinite(last):
+        # Some drivers of lasers that look all round keep angles within (-pi, pi].
+        wraps = (0.0, 2.0 * math.pi, -2.0 * math.pi) if abs(field) > 1.5 * math.pi else (0.0,)
+        apart = min(abs(first + field - last + wrap) for wrap in wraps)
+        if apart > max(2.0 * abs(step), _FIELD_TOLERANCE * abs(field)):
+            raise SensorDataError(
+                f"scan: angle_max is {last:.6g}, expected {first + field:.6g}: "
+                f"angle_min and {ranges.size - 1} increments"
+            )
+    low, high = float(msg.range_min), float(msg.range_max)
+    low = 0.0 if low < 0.0 else low
+    if not low < high:
+        raise SensorDataError(f"scan: range_min is {low:.6g} and range_max {high:.6g}, expected range_min < range_max")
+    return LaserScan(msg.header.stamp.to_sec(), first, step, low, high, ranges)
 
 
 def scan_to_msg(scan: LaserScan, frame_id: str) -> LaserScanMsg:

@@ -318,11 +318,11 @@ def test_all_beams_free_is_driving() -> None:
         ({"speed_limit": math.nan}, "speed limit"),
         ({"speed_limit": -0.1}, "speed limit"),
         ({"scan": ranges([])}, "scan is empty"),
-        ({"scan": ranges([math.nan] * 100 + [1.0] * 300)}, "100 of 400 beams NaN"),
+        ({"scan": ranges([math.nan] * 361 + [1.0] * 39)}, "361 of 400 beams are NaN or below range_min 0.02 m"),
+        ({"scan": ranges([0.0] * 400)}, "400 of 400 beams are NaN or below range_min 0.02 m"),
         ({"scan": replace(still()["scan"], angle_increment=0.0)}, "senseless"),
         ({"scan": replace(still()["scan"], range_max=math.nan)}, "senseless"),
         ({"scan": ranges([-math.inf] * 400)}, "touches the footprint"),
-        ({"scan": ranges([0.0] * 400)}, "touches the footprint"),
         ({"pose": Pose2D(1.0, 3.0)}, "off the path"),
     ],
 )
@@ -437,10 +437,44 @@ def test_memory_keeps_what_is_out_of_view_for_a_while_and_drops_what_is_seen_thr
     assert len(see(0.0, one, Pose2D())) == 1  # time ran backwards
 
 
+@pytest.mark.parametrize("value", [math.nan, 0.0, 0.019])
+def test_what_was_near_before_a_beam_went_bad_is_still_there(value: float) -> None:
+    planner, box = controller(), np.full(400, np.inf)
+    box[170:230] = 0.15  # ahead of the laser
+    assert planner.step(**still(scan=ranges(box))).twist.v == 0.0
+    box[170:230] = value
+    for stamp in (10.1, 10.2, 12.0, 14.0):
+        scan = replace(ranges(box), stamp=stamp)
+        assert planner.step(**still(scan=scan, now=stamp + 0.1)).twist.v <= 0.0
+
+
+@pytest.mark.parametrize("value", [math.nan, 0.0, 0.019, -1.0])
+def test_beams_that_are_bad_from_the_start_are_no_obstacle(value: float) -> None:
+    """Lasers that send 0.0 for no return once pinned the robot for ever."""
+    planner, some = controller(), np.full(400, np.inf)
+    some[::2] = value
+    decision = planner.step(**still(scan=ranges(some)))
+    assert (decision.state, decision.twist.v > 0.0) == ("driving", True)
+
+
+@pytest.mark.parametrize("angle_min", [0.0, -math.pi, 1.0])
+def test_a_laser_that_looks_all_round_looks_through_what_has_gone(angle_min: float) -> None:
+    memory, step = ObstacleMemory(3.0, 15.0, Footprint(P3DX)), math.pi / 180.0
+    for bearing in np.arange(0.0, 2.0 * math.pi, 0.3):
+        one = np.full(360, np.inf)
+        one[int(np.rint(np.mod(bearing - angle_min, 2.0 * math.pi) / step)) % 360] = 1.0
+        for stamp, values, left in ((0.0, one, 1), (0.1, np.full(360, np.nan), 1), (0.2, np.full(360, np.inf), 0)):
+            scan = LaserScan(stamp, angle_min, step, 0.02, 8.0, values)
+            points = scan_points(scan) if left == 0 or stamp == 0.0 else np.empty((0, 2))
+            assert len(memory.update(scan, points, Pose2D(), Pose2D())) == left
+
+
 def test_readings_by_rep_117() -> None:
-    values = [math.inf, -math.inf, 0.01, 9.0, 2.0]
-    points = scan_points(LaserScan(0.0, 0.0, 0.0001, 0.1, 8.0, np.array(values)), 0.0)
-    assert np.hypot(points[:, 0], points[:, 1]) == pytest.approx([0.1, 0.1, 2.0])
+    values = [math.inf, -math.inf, 0.01, 9.0, 2.0, 0.0, math.nan, -3.0]
+    points = scan_points(LaserScan(0.0, 0.0, 0.0001, 0.1, 8.0, np.array(values)), 0.5)
+    assert np.hypot(points[:, 0], points[:, 1]) == pytest.approx([0.1, 2.0])
+    endless = scan_points(LaserScan(0.0, 0.0, 0.0001, 0.0, math.inf, np.array(values)), 0.5)
+    assert np.hypot(endless[:, 0], endless[:, 1]) == pytest.approx([0.0, 0.01, 2.0, 0.0])
     with pytest.raises(SensorDataError):
         scan_points(LaserScan(0.0, 0.0, 0.1, 0.1, 8.0, np.array([1.0, math.nan])), 0.4)
 

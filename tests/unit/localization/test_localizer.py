@@ -40,9 +40,17 @@ def state(localizer: EkfLocalizer) -> tuple[float, Pose2D, bytes]:
     return estimate.stamp, estimate.pose, estimate.covariance.tobytes()
 
 
-def follow(grid: OccupancyGrid, route: list[tuple[float, float]], seed: int, boxes: list[Obstacle], beams: int = 769):
+def follow(
+    grid: OccupancyGrid,
+    route: list[tuple[float, float]],
+    seed: int,
+    boxes: list[Obstacle],
+    beams: int = 769,
+    bad: tuple[float, float] = (0.0, 0.0),
+):
     """Errors (N, 3) and NEES (N,) of a drive, beginning 2 s after the start with an unknown initial error."""
     rng = np.random.default_rng(seed)
+    share, value = bad  # of the beams, and what they say
     rectangles = np.vstack([walls_of(grid), boxes_of(boxes)])
     localizer, errors, nees = None, [], []
     for truth, odo in drive(route, 0.5, rng):
@@ -50,7 +58,10 @@ def follow(grid: OccupancyGrid, route: list[tuple[float, float]], seed: int, box
             start = np.array([truth.x, truth.y, truth.theta]) + rng.multivariate_normal(np.zeros(3), P0)
             localizer = started(grid, Pose2D(*start))
         localizer.predict(odo)
-        localizer.update_scan(take_scan(truth, rectangles, rng, odo.stamp, beams))
+        scan = take_scan(truth, rectangles, rng, odo.stamp, beams)
+        if share:
+            scan = replace(scan, ranges=np.where(rng.random(beams) < share, value, scan.ranges))
+        localizer.update_scan(scan)
         if odo.stamp > 2.0:
             errors.append(pose_error(localizer.estimate.pose, truth))
             nees.append(mahalanobis_squared(errors[-1], localizer.estimate.covariance))
@@ -61,6 +72,15 @@ def follow(grid: OccupancyGrid, route: list[tuple[float, float]], seed: int, box
 def test_a_drive_past_new_boxes_is_accurate_and_honest(corridor, seed):
     route = [(6.5, 5.7), (8.5, 5.4), (10.5, 5.8), (12.5, 6.15), (14.5, 5.5), (16.5, 5.6)]
     errors, nees = follow(corridor, route, seed, BOXES)
+    assert math.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 0.02
+    assert math.degrees(math.sqrt((errors[:, 2] ** 2).mean())) < 0.3
+    assert np.mean(nees) < 4.0
+
+
+@pytest.mark.parametrize("bad", [(0.105, math.nan), (0.3, 0.0), (0.5, math.nan)])
+def test_beams_that_say_nothing_make_it_no_worse(corridor, bad):
+    route = [(6.5, 5.7), (8.5, 5.4), (10.5, 5.8), (12.5, 6.15), (14.5, 5.5), (16.5, 5.6)]
+    errors, nees = follow(corridor, route, 0, BOXES, bad=bad)
     assert math.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 0.02
     assert math.degrees(math.sqrt((errors[:, 2] ** 2).mean())) < 0.3
     assert np.mean(nees) < 4.0
@@ -133,7 +153,8 @@ def test_a_known_marker_corrects_and_an_unknown_one_does_not(corridor):
         lambda loc: loc.predict(odometry(0.2, x=math.nan)),
         lambda loc: loc.predict(odometry(math.nan)),
         lambda loc: loc.predict(odometry(0.2, v=math.inf)),
-        lambda loc: loc.update_scan(replace(SCAN, ranges=np.where(np.arange(769) == 5, np.nan, SCAN.ranges))),
+        lambda loc: loc.update_scan(replace(SCAN, ranges=np.full(769, np.nan))),
+        lambda loc: loc.update_scan(replace(SCAN, range_max=0.01)),
         lambda loc: loc.update_scan(replace(SCAN, ranges=np.zeros(0))),
         lambda loc: loc.update_scan(replace(SCAN, angle_min=math.nan)),
         lambda loc: loc.update_scan(replace(SCAN, stamp=math.nan)),

@@ -452,6 +452,26 @@ def test_it_stands_at_once_when_a_sensor_talks_nonsense(its: ObstacleAvoidance, 
     assert hear(its, 10.3, refused).health.counters == {counter: 2}
 
 
+def test_bad_beams_are_left_out_and_their_share_is_told(its: ObstacleAvoidance) -> None:
+    ranges = scan(10.1).ranges.copy()
+    ranges[::4] = np.nan
+    outputs = hear(its, 10.1, odometry(10.1), pose(10.1), replace(scan(10.1), ranges=ranges))
+    assert (outputs.command, outputs.health.level) == (NavigationCommand(AHEAD), Level.OK)
+    assert outputs.health.counters == {"bad_beam_share": pytest.approx(0.25, abs=0.002)}
+    assert frame(its, 10.2).health.counters == {}
+
+
+def test_a_scan_of_bad_beams_is_refused_whether_or_not_there_is_a_pose(its: ObstacleAvoidance) -> None:
+    """Its pose does not come either, as slam cannot use it: that is not the reason to be told."""
+    n = scan(10.1).ranges.size
+    outputs = hear(its, 10.1, odometry(10.1), replace(scan(10.1), ranges=np.full(n, np.nan)))
+    stands(
+        outputs, f"scan: {n} of {n} beams are NaN or below range_min 0.02 m, expected at most 90% (scan/max_bad_share)"
+    )
+    assert outputs.health.counters == {"bad_beam_share": 1.0, "bad_scans": 1}
+    assert outputs.answered == 10.1
+
+
 def test_nonsense_is_no_scan_to_decide_on(its: ObstacleAvoidance) -> None:
     hear(its, 10.1, odometry(10.1), scan(10.1))
     stands(hear(its, 10.12, Refused(LaserScan, "NaN", stamp=10.12)), "NaN")

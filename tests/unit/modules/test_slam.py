@@ -26,6 +26,7 @@ from hitchhike_ros.core.parameters import load_parameters
 from hitchhike_ros.localization.localizer import LocalizerParameters
 from hitchhike_ros.localization.particle_localizer import ParticleLocalizer
 from hitchhike_ros.mapping.grid import OccupancyGrid
+from hitchhike_ros.mapping.laser import ScanParameters
 from hitchhike_ros.mapping.new_obstacles import MappingParameters, NewObstacleMapper
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.modules.inputs import FoundObstacles, HandedOverObstacles, InitialPose
@@ -427,6 +428,20 @@ def test_a_robot_that_rests_goes_on_looking_while_scans_contradict_its_pose() ->
     rig.filter.explains = 0.3
     scans(rig, TENTHS[:5])
     assert rig.worked_on() == TENTHS[:5]
+
+
+def test_bad_beams_are_left_out_and_too_many_of_them_are_no_scan() -> None:
+    rig = Rig(scan_params=ScanParameters(0.5))
+    outputs = rig.sense(replace(scan(1.0), ranges=[*np.full(10, 0.0), *np.full(11, 2.0)]), 1.0)
+    assert (outputs.health.level, outputs.health.reason) == (Level.OK, "localizing")
+    assert outputs.health.counters["bad_beam_share"] == 0.476
+    outputs = rig.sense(replace(scan(1.1), ranges=[*np.full(11, math.nan), *np.full(10, 2.0)]), 1.1)
+    assert (outputs.health.level, outputs.pose) == (Level.ERROR, None)
+    assert outputs.health.reason == (
+        "scan: 11 of 21 beams are NaN or below range_min 0.02 m, expected at most 50% (scan/max_bad_share)"
+    )
+    assert (outputs.health.counters["bad_beam_share"], outputs.health.counters["bad_scans"]) == (0.524, 1)
+    assert "bad_beam_share" not in rig.scan(1.2).health.counters
 
 
 @pytest.mark.parametrize("refused", [True, False])

@@ -86,6 +86,7 @@ class Rig:
         )
         self.looked_at: list[float] = []
         self.speed_mps = 0.0
+        self.laser = True  # whether a scan, in which there is nothing, comes with each image
 
     def drain(self, now: float) -> list[VisualServoingOutputs]:
         """Step as a host does."""
@@ -107,6 +108,8 @@ class Rig:
             return raising(pixels)() if isinstance(pixels, str) else pixels
 
         now = stamp if now is None else now
+        if self.laser:
+            self.module.sense(scan(now), now)
         self.module.sense(CameraImage(stamp, gray, gray, "camera"), now)
         [outputs] = self.drain(now)
         assert outputs.answered == stamp
@@ -443,6 +446,7 @@ def test_an_image_of_before_is_looked_at() -> None:
 
 def test_what_comes_between_ends_the_leaving_out_and_is_braked_for() -> None:
     rig = following()
+    rig.laser = False
     rig.module.sense(scan(0.95, ahead_m=3.0), 0.95)
     assert rig.ride(1.0, 1.0)[0].observations is None  # left out
     rig.ride(1.1, 1.1)
@@ -455,11 +459,71 @@ def test_what_comes_between_ends_the_leaving_out_and_is_braked_for() -> None:
         assert outputs.command.twist.v < 0.25
 
 
-def test_without_a_fresh_scan_nothing_is_limited() -> None:
+def test_one_bad_beam_does_not_blind_it() -> None:
+    """A NaN among the beams once switched the limiter off, and it drove on at the box."""
     rig = following()
-    rig.module.sense(scan(0.4, ahead_m=0.35), 0.95)
-    said = rig.ride(1.0, 1.1)
-    assert said[-1].health.counters["braked_for_an_obstacle"] is False
+    rig.laser = False
+    box = scan(0.95, ahead_m=0.35)
+    rig.module.sense(replace(box, ranges=np.where(np.arange(181) == 100, np.nan, box.ranges)), 0.95)
+    rig.ride(1.0, 1.1)
+    [outputs] = rig.ride(1.2, 1.2)
+    assert outputs.command is not None
+    assert outputs.command.twist.v < 0.25
+    assert outputs.health.counters["braked_for_an_obstacle"] is True
+    assert outputs.health.counters["bad_beam_share"] == 0.006
+
+
+def test_when_the_laser_dies_it_stands_within_half_a_second_and_says_so() -> None:
+    rig = following()
+    rig.laser = False
+    rig.ride(1.0, 1.2)
+    due = rig.module.next_due(1.2)
+    assert due == pytest.approx(1.25)  # the last scan is of 0.9 s
+    [outputs] = rig.drain(due)
+    assert outputs.command == STAND
+    assert (outputs.health.level, outputs.health.reason) == (Level.ERROR, "stopped: no scan for 0.3 s")
+    assert rig.module.next_due(due) > due + 0.2
+    said = rig.ride(1.3, 1.6)[-1]
+    assert (said.command, said.health.reason) == (STAND, "stopped: no scan for 0.7 s")
+    rig.laser = True
+    assert rig.ride(1.7, 1.9)[-1].health.reason == "following"
+
+
+def test_a_scan_that_waits_at_its_host_is_no_reason_to_stand() -> None:
+    rig = following()
+    rig.laser = False
+    rig.ride(1.0, 1.2)
+    rig.module.sense(scan(1.2), 1.21)
+    assert rig.drain(1.26) == []
+    assert rig.ride(1.3, 1.3)[0].health.reason == "following"
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_a_scan_that_cannot_be_used_is_none(refused: bool) -> None:
+    rig = following()
+    rig.laser = False
+    why = "scan: 181 of 181 beams are NaN or below range_min 0.02 m, expected at most 90% (scan/max_bad_share)"
+    bad = replace(scan(1.0), ranges=np.zeros(181))
+    rig.module.sense(Refused(LaserScan, why) if refused else bad, 1.0)
+    [outputs] = rig.drain(1.0)
+    assert (outputs.command, outputs.health.reason) == (STAND, f"stopped: {why}")
+    assert outputs.health.counters["bad_scans"] == 1
+
+
+def test_without_a_laser_it_follows_and_says_that_nothing_brakes_it() -> None:
+    rig = following(limiter=None)
+    outputs = rig.ride(1.0, 1.1)[-1]
+    assert outputs.health.reason == "following"
+    assert outputs.health.counters["laser"] == "none: it brakes for no obstacle"
+
+
+def test_a_new_order_does_not_drive_by_the_scans_of_before() -> None:
+    rig = following()
+    rig.laser = False
+    rig.order(None, 1.0)
+    rig.order(FOLLOW, 1.05)
+    rig.module.sense(images.CAMERA, 1.05)
+    assert rig.ride(1.1, 1.1)[0].health.reason == "stopped: no scan yet"
 
 
 # When the robot stands.
