@@ -197,6 +197,14 @@ def driver_in(state: DriverState, planner: Planner = corridor_path, **params: An
     if state is not S.IDLE:
         bench.step(GoalGiven(DRIVER_GOAL))
         bench.wait()
+    if state is S.YIELDING:
+        goal = Pose2D(7.0, 5.72)
+        machine.facts.said = Beacon(robot_id=DRIVER, state="navigating", profile=50.0, priority=10, goal=goal)
+        parked = Beacon(robot_id="parked", state="idle", profile=50.0, priority=10, pose=goal)
+        machine.facts.neighbours.hear(parked, bench.now)
+        bench.step(GoalGiven(goal))
+        bench.wait()
+        return _arrived(bench, machine, state)
     if state not in (S.IDLE, S.NAVIGATING):
         bench.hear(Request)
     if state not in (S.IDLE, S.NAVIGATING, S.OFFERING):

@@ -38,7 +38,6 @@ from hitchhike_ros.protocol.messages import Ack, Beacon, Driver, Message, encode
 from hitchhike_ros.protocol.observations import Observations
 from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import Status
 
 # An estimate older than this is no longer the robot's pose (s).
@@ -219,7 +218,7 @@ class HitchhikeComm:
             awards=tuple(effect for effect in effects if isinstance(effect, Award)),
             reports=tuple(effect.text for effect in effects if isinstance(effect, Report)),
             warnings=warnings,
-            outcome=None if outcome is None else Outcome(outcome.reason is Reason.ARRIVED, str(outcome)),
+            outcome=None if outcome is None else Outcome(outcome.reached, str(outcome)),
             pose=new_pose,
         )
 

@@ -16,6 +16,7 @@ from hitchhike_ros.core.geometry import path_length
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
 from hitchhike_ros.protocol.announcement import OwnPath
+from hitchhike_ros.protocol.common_goal import same_place
 from hitchhike_ros.protocol.driver.machine import DriverMachine
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
@@ -63,13 +64,15 @@ class Agent:
         self.neighbours = Neighbours()
         self.hitchhiker = self._new_hitchhiker()
         self.booking: HitchhikerMachine | None = None  # of the ride after this one
-        self.driver = DriverMachine(robot_id, params, sites, planner, marker_pose)
+        self.driver = DriverMachine(robot_id, params, sites, planner, marker_pose, radius_m, self.neighbours)
         self._situation = Situation()
         self._goal: Pose2D | None = None  # the newest that was given, and not withdrawn
         self._waits = False  # with the goal, until it knows where it is and no ride is on
         self._waits_since = math.inf  # for its pose
         self._refused: Ending | None = None  # why it did not set out for the newest goal
         self._asks = 0  # on the way to the present goal
+        self._driven_by = ""  # on the way to the present goal
+        self._told_of = ""  # the newest ride of which it was told that both have one goal
         self._reversed_at = -math.inf
         self._booked_for = ""  # the ride after which another one was looked for
         self._beacon_due = self._forget_due = 0.0
@@ -101,7 +104,9 @@ class Agent:
             return []
         if isinstance(event, GoalGiven):
             effects = self._drop_goal(now)
-            self._goal, self._waits, self._asks = event.goal, True, 0
+            # Made anew: of a pose from a file msgspec writes no field that has its default.
+            goal = event.goal
+            self._goal, self._waits, self._asks = Pose2D(goal.x, goal.y, goal.theta), True, 0
             return effects
         if isinstance(event, GoalCancelled):
             return self._drop_goal(now)
@@ -173,14 +178,22 @@ class Agent:
             effects += self._go_on(self._goal, now)
         if self._waits and self._goal is not None and not self.rides:
             effects += self._set_out_for(self._goal, now)
+        effects += self._tell_common_goal()
         if now >= self._forget_due:
             longest_s = max(self.params.robot_timeout_s, self.params.lost_timeout_s)
             self._forget_due = now + longest_s
             self.neighbours.forget(now - longest_s)
-        if now >= self._beacon_due:
+        beacon = self._beacon() if now >= self._beacon_due or self._goal_is_news() else None
+        if beacon is not None:
             self._beacon_due = now + self.params.beacon_period_s
-            effects.append(Send(self._beacon()))
+            self.driver.facts.said = beacon
+            effects.append(Send(beacon))
         return effects
+
+    def _goal_is_news(self) -> bool:
+        """Whether others, who may want to stand there too, have been told of another goal, or of none."""
+        said = self.driver.facts.said
+        return said is not None and said.goal != self._stops_at
 
     def _new_hitchhiker(self) -> HitchhikerMachine:
         return HitchhikerMachine(
@@ -215,9 +228,41 @@ class Agent:
             return []
         effects = [] if booked is None else booked.step(GoalCancelled(), now)
         rode = self.hitchhiker.rode
+        self._driven_by = self.hitchhiker.driver if rode else ""
         if rode and self.params.mode == "network" and self._asks < self.params.max_asks and self._wants_ride(goal):
             return effects + self._ask(goal, now)
-        return effects + self.driver.step(GoalGiven(goal, self.hitchhiker.ending), now)
+        effects += self.driver.step(GoalGiven(goal, self.hitchhiker.ending, set_down=rode), now)
+        # At once: where its driver stands on the goal nothing is driven any more.
+        return effects + self.driver.step(Tick(self._situation), now)
+
+    @property
+    def _stops_at(self) -> Pose2D | None:
+        """Where it will stand; None where it is at rest, or has not set out yet."""
+        return self.goal if self.rides or self.goal is None else self.driver.stops_at
+
+    def _tell_common_goal(self) -> list[Effect]:
+        """Before a ride to a goal that both have, both know who will stand there."""
+        offer, goal = self.hitchhiker.offer, self.goal
+        if offer is not None:
+            pair = offer.robot_id, self.robot_id, offer.ride_id
+            its_goal = offer.goal
+        elif (rider := next(iter(reversed(self.driver.rides)), None)) is not None:
+            pair = self.robot_id, rider.offer.hitchhiker, rider.offer.ride_id
+            its_goal = None
+        else:
+            return []
+        driver, hitchhiker, ride_id = pair
+        if goal is None or ride_id == self._told_of:
+            return []
+        other = self.neighbours.beacon(driver if self.rides else hitchhiker)
+        if its_goal is None and other is not None:
+            its_goal = other.goal
+        other_radius_m = self._radius_m if other is None else other.radius_m
+        if not same_place(goal, self._radius_m, its_goal, other_radius_m):
+            return []
+        self._told_of = ride_id
+        ending = Ending(Reason.SAME_GOAL, f"{driver} keeps it, {hitchhiker} ends behind it")
+        return [Report(str(ending), ending.reason)]
 
     def _book(self, now: float) -> list[Effect]:
         """Look for the driver after this one in time, where the itinerary has another ride."""
@@ -269,6 +314,7 @@ class Agent:
 
     def _drop_goal(self, now: float) -> list[Effect]:
         self._goal, self._waits, self._waits_since, self._refused = None, False, math.inf, None
+        self._driven_by = ""
         effects = self.hitchhiker.step(GoalCancelled(), now) + self.driver.step(GoalCancelled(), now)
         if self.booking is not None:
             booking, self.booking = self.booking, None
@@ -295,8 +341,10 @@ class Agent:
             priority=self.params.priority,
             radius_m=self._radius_m,
             pose=None if estimate is None else estimate.pose,
-            goal=self.goal,
+            goal=self._stops_at,
             path=self.driver.announced() if in_network else (),
             free_places=self.driver.free_places if in_network and self.goal is not None else 0,
             safe_speed_mps=self.params.safe_speed_mps,
+            left_m=None if self.rides else self.driver.left_m,
+            driver=self.hitchhiker.driver if self.rides and self.hitchhiker.rode else self._driven_by,
         )

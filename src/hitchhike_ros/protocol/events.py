@@ -16,10 +16,14 @@ from hitchhike_ros.protocol.reasons import NONE, Ending, Reason
 
 @dataclass(frozen=True)
 class GoalGiven:
-    """Somebody wants this robot at ``goal`` in ``map``; ``why`` it gets the goal now, where a ride came to nothing."""
+    """Somebody wants this robot at ``goal`` in ``map``.
+
+    ``why`` it gets the goal now, where a ride came to nothing; ``set_down``: it comes from a ride.
+    """
 
     goal: Pose2D
     why: Ending = NONE
+    set_down: bool = False
 
 
 @dataclass(frozen=True)

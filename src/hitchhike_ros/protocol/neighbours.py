@@ -22,6 +22,15 @@ class Neighbours:
         # By driver: the rider ahead in its convoy, of whom no message tells the name.
         self._ahead: dict[str, tuple[Pose2D | PoseFields, float]] = {}
 
+    def beacons(self, now: float, timeout_s: float) -> list[Beacon]:
+        """The last one of each robot, of the last ``timeout_s``."""
+        return [beacon for beacon, at in self._beacons.values() if now - at <= timeout_s]
+
+    def beacon(self, name: str) -> Beacon | None:
+        """The last one of a robot, while it is remembered."""
+        heard = self._beacons.get(name)
+        return None if heard is None else heard[0]
+
     def hear(self, message: Message, now: float) -> None:
         """Take any message of another robot."""
         if isinstance(message, Beacon):

@@ -47,6 +47,9 @@ class HitchhikingParameters:
     couple_s: NonNegative = 6.0  # what an itinerary counts for coupling
     decouple_s: NonNegative = 3.0
 
+    exact_goal: bool = False  # one that another robot stands on is not reached before it, but waited for
+    exact_goal_wait_s: Positive = 60.0  # and given up after so long
+
     # While nothing arrives it looks so often what its modules say: that it is at its goal, or sees its driver.
     look_period_s: Positive = 0.1
     idle_look_period_s: Positive = 0.2  # without a goal, and while it asks: all else arrives or is a deadline
@@ -67,7 +70,8 @@ class HitchhikingParameters:
     decouple_timeout_s: Positive = 10.0
     settle_timeout_s: Positive = 3.0  # for standing still before the relative pose is taken
     localize_timeout_s: Positive = 5.0
-    stuck_timeout_s: Positive = 30.0  # navigation that is blocked for so long has failed
+    stuck_timeout_s: Positive = 30.0  # navigation that was blocked for so long since it last came nearer has failed
+    progress_timeout_s: Positive = 120.0  # and one that came no nearer to its goal for so long, whatever it says
     planner_patience_s: Positive = 5.0  # or that has no path for so long; the name and value are move_base's
     robot_timeout_s: Positive = 3.0  # another robot is forgotten when it says nothing for so long
 

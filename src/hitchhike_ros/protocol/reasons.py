@@ -41,6 +41,8 @@ class Reason(Enum):
 
     # A goal ends.
     ARRIVED = "Goal reached"
+    GOAL_TAKEN = "goal taken"  # by a robot that keeps it: this one stands before it, which counts as reached
+    GOAL_STAYS_TAKEN = "Goal did not become free"  # for one that wants to be there exactly
     CANNOT_GO_ON = "Navigation failed"
     NOT_LOCALIZED = "Not localized"
     GOAL_CANCELLED = "Goal cancelled"
@@ -62,6 +64,7 @@ class Reason(Enum):
     OUT_OF_SIGHT = "Driver out of sight"
     SEEN_AGAIN = "Driver seen again"
 
+    SAME_GOAL = "Same goal"  # as the other robot of a ride
     ROLES_REVERSED = "Asks the better profile for a ride instead"
 
     __hash__ = object.__hash__
@@ -77,7 +80,15 @@ LOCALIZATION_SILENT = "localization did not answer"
 """As the detail of a ride that ends."""
 
 # How a detail is told where it is not simply added.
-_DETAILED = {Reason.CANNOT_GO_ON: "{}: {}", Reason.NOT_LOCALIZED: "{}: {}", Reason.DRIVER_NOT_FOUND: "{} ({})"}
+_DETAILED = {
+    Reason.CANNOT_GO_ON: "{}: {}",
+    Reason.NOT_LOCALIZED: "{}: {}",
+    Reason.DRIVER_NOT_FOUND: "{} ({})",
+    Reason.GOAL_TAKEN: "{} by {}",
+    Reason.GOAL_STAYS_TAKEN: "{}: taken by {}",
+    Reason.SAME_GOAL: "{}: {}",
+}
+_REACHED = (Reason.ARRIVED, Reason.GOAL_TAKEN)
 
 
 @dataclass(frozen=True)
@@ -89,8 +100,10 @@ class Ending:
 
     @classmethod
     def told(cls, text: str) -> Self:
-        """What another robot says: a reason where it is one, else its own words."""
+        """What another robot or module says: a reason where it is one, else its own words."""
         reason = _BY_TEXT.get(text)
+        if reason is None and text.startswith(_TAKEN_BY):
+            return cls(Reason.GOAL_TAKEN, text.removeprefix(_TAKEN_BY))
         return cls(Reason.NONE, text) if reason is None else cls(reason)
 
     def __str__(self) -> str:
@@ -102,6 +115,11 @@ class Ending:
     def __bool__(self) -> bool:
         return bool(self.reason or self.detail)
 
+    @property
+    def reached(self) -> bool:
+        """Whether the goal counts as reached: nobody can stand where another robot does."""
+        return self.reason in _REACHED
+
     def adding(self, detail: str) -> Self:
         """The same, with more to say."""
         return replace(self, detail=f"{self.detail}; {detail}" if self.detail else detail)
@@ -110,4 +128,5 @@ class Ending:
 NONE = Ending()
 """Nothing is to be said."""
 
+_TAKEN_BY = _DETAILED[Reason.GOAL_TAKEN].format(Reason.GOAL_TAKEN, "")
 _BY_TEXT: dict[str, Reason] = {reason.value: reason for reason in Reason}

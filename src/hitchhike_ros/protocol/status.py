@@ -92,6 +92,13 @@ class RideStatus:
 
 
 _PHASES: dict[str, Phase] = {state.value: state.phase for state in (*DriverState, *HitchhikerState)}
+
+
+def phase_of(state: str) -> Phase | None:
+    """Of a state's name on the wire; None where this package has no such state."""
+    return _PHASES.get(state)
+
+
 _RIDES = (Phase.COUPLED, Phase.RETURNING, Phase.HANDING_OVER)
 
 

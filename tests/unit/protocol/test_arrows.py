@@ -26,7 +26,7 @@ from hitchhike_ros.protocol.events import GoalCancelled, GoalGiven, NavigationRe
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.machine import Deadline, Machine, Row, arrows
-from hitchhike_ros.protocol.messages import Ack, Decouple, Driver, Lock, Request
+from hitchhike_ros.protocol.messages import Ack, Beacon, Decouple, Driver, Lock, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters, Mode
 from hitchhike_ros.protocol.status import GoalCommand
 from protocol_helpers import (
@@ -67,10 +67,12 @@ class Search:
     happen: Callable[[Any, type, float, random.Random], object]
 
 
-def begin_driver(mode: Mode, places: int) -> DriverMachine:
-    hasty = {"stuck_timeout_s": 0.1, "planner_patience_s": 0.1, "contact_timeout_s": 0.5}
-    params = HitchhikingParameters(mode=mode, places=places, min_ride_m=5.0, **hasty)
-    return DriverMachine(DRIVER, params, SITES, corridor_path, MARKER_POSE)
+def begin_driver(mode: Mode, places: int, exact_goal: bool = False) -> DriverMachine:
+    hasty: dict[str, Any] = {"stuck_timeout_s": 0.1, "planner_patience_s": 0.1, "contact_timeout_s": 0.5}
+    params = HitchhikingParameters(mode=mode, places=places, min_ride_m=5.0, exact_goal=exact_goal, **hasty)
+    machine = DriverMachine(DRIVER, params, SITES, corridor_path, MARKER_POSE)
+    machine.facts.said = Beacon(robot_id=DRIVER, state="navigating", profile=50.0, priority=10, goal=DRIVER_GOAL)
+    return machine
 
 
 def shape_of_driver(machine: DriverMachine) -> Hashable:
@@ -79,11 +81,16 @@ def shape_of_driver(machine: DriverMachine) -> Hashable:
 
 def happen_to_driver(machine: DriverMachine, event: type, now: float, luck: random.Random) -> object:
     if event is GoalGiven:
-        return GoalGiven(DRIVER_GOAL)
+        return GoalGiven(DRIVER_GOAL, set_down=luck.random() < 0.3)
     if event is GoalCancelled:
         return GoalCancelled()
     if event is Tick:
-        pose = luck.choice((WEST.aligning_pose, WEST.aligning_pose, Pose2D(10.0, 5.72)))
+        near = Pose2D(DRIVER_GOAL.x, DRIVER_GOAL.y - luck.choice((0.8, 3.0)))
+        pose = luck.choice((WEST.aligning_pose, WEST.aligning_pose, Pose2D(10.0, 5.72), near, DRIVER_GOAL))
+        parked = Pose2D(DRIVER_GOAL.x, DRIVER_GOAL.y - luck.choice((0.0, 0.0, 0.4, 9.0)))
+        machine.facts.neighbours.hear(
+            Beacon(robot_id="parked", state="idle", profile=50.0, priority=10, pose=parked), now
+        )
         return Tick(_situation(machine.goal, pose, now, luck))
     rider = luck.choice(machine.rides) if machine.rides and luck.random() < (0.5 if event is Request else 0.9) else None
     name = luck.choice("abc") if rider is None else rider.offer.hitchhiker
@@ -152,7 +159,10 @@ def happen_to_hitchhiker(machine: HitchhikerMachine, event: type, now: float, lu
     return message
 
 
-DRIVERS = tuple(begin_driver(mode, places) for mode in get_args(Mode) for places in (1, 2))
+DRIVERS = (
+    *(begin_driver(mode, places) for mode in get_args(Mode) for places in (1, 2)),
+    begin_driver("local", 1, exact_goal=True),
+)
 HITCHHIKERS = tuple(begin_hitchhiker(mode) for mode in get_args(Mode))
 SEARCHES: dict[str, Search] = {
     "driver": Search(DRIVERS, shape_of_driver, happen_to_driver),
@@ -176,7 +186,7 @@ def _step(walk: Walk, search: Search, wanted: set[Arrow], luck: random.Random) -
     walk.now += luck.choice((0.05, 0.05, 0.3, 0.3, 0.6, 0.6, 2.5))
     event = row.on
     if isinstance(event, Deadline):
-        walk.now += event.limit(walk.machine.facts)
+        walk.now += min(event.limit(walk.machine.facts), 1000.0)
         event = Tick
     walk.machine.step(search.happen(walk.machine, event, walk.now, luck), walk.now)
     walk.machine._last_words, walk.machine._effects = [], []  # what it says does not matter, and costs copies

@@ -27,7 +27,7 @@ def test_every_way_of_the_table_is_drawn_and_no_other(name: str) -> None:
     "arrow",
     [
         'navigating -> offering [label="Request [is offered]"]',
-        "navigating -> idle [label=<<i>arrived<br/>given up</i>>]",
+        "navigating -> idle [label=<<i>arrived<br/>given up<br/>is at goal<br/>need not move, need not be exact</i>>]",
         'aligning -> navigating [label="max align", style=dashed]',
         'aligned -> driving [label="max couple [all but late coupled]", style=dashed]',
     ],

@@ -203,15 +203,42 @@ def test_navigation_that_stays_stuck_ends_what_it_was_for(
     report: str, state: DriverState, then: DriverState, reason: str
 ) -> None:
     bench = driver_in(state, stuck_timeout_s=10.0, planner_patience_s=10.0, ack_timeout_s=20.0)
-    for navigation in (report, "driving", report):  # stuck for a while, then not, does not add up
+    for navigation in (report, "driving", report, "driving"):  # who says something else stands there all the same
         bench.navigation = navigation
+        bench.wait(4.7)
+        bench.hear(Ack)
+        assert bench.machine.state is state
+    bench.navigation = report
+    bench.clear()
+    bench.wait(0.9)
+    assert (bench.machine.state, str(bench.machine.ending)) == (then, reason)
+    assert [end.reason for end in bench.take(Terminate)] == ([reason] if state is not S.NAVIGATING else [])
+
+
+@pytest.mark.parametrize("state", [S.NAVIGATING, S.DRIVING])
+def test_who_has_come_nearer_to_the_goal_is_not_stuck(state: DriverState) -> None:
+    bench = driver_in(state, stuck_timeout_s=10.0, ack_timeout_s=20.0)
+    bench.navigation = "blocked"
+    for x in (3.0, 4.0, 5.0, 6.0):
+        bench.pose = Pose2D(x, 5.72)
         bench.wait(9.0)
         bench.hear(Ack)
         assert bench.machine.state is state
-    bench.clear()
-    bench.wait(1.2)
-    assert (bench.machine.state, str(bench.machine.ending)) == (then, reason)
-    assert [end.reason for end in bench.take(Terminate)] == ([reason] if state is not S.NAVIGATING else [])
+    for x in (5.0, 6.0, 5.0, 6.0):  # back and on again is not nearer
+        bench.pose = Pose2D(x, 5.72)
+        bench.wait(0.6)
+        bench.hear(Ack)
+    assert bench.machine.state is not state
+
+
+@pytest.mark.parametrize("navigation", ["driving", "idle", None])
+def test_driving_that_gets_nowhere_has_an_end_whatever_navigation_says(navigation: str | None) -> None:
+    bench = driver_in(S.NAVIGATING, progress_timeout_s=40.0)
+    bench.navigation = navigation
+    bench.wait(39.5)
+    assert bench.machine.state is S.NAVIGATING
+    bench.wait(1.0)
+    assert (bench.machine.state, str(bench.machine.ending)) == (S.IDLE, "Navigation failed: no nearer for 40 s")
 
 
 def test_without_a_path_it_gives_up_sooner_than_before_an_obstacle() -> None:
@@ -488,7 +515,7 @@ def test_the_modules_of_each_state(state: DriverState) -> None:
     machine = driver_in(state, ride_speed_mps=0.4).machine
     assert machine.modules == ModuleSwitches(VS=state is S.ALIGNING)
     assert (machine.servo is not None) == (state is S.ALIGNING)
-    assert (machine.goal is not None) == (state in (S.NAVIGATING, S.ALIGNING, S.DRIVING))
+    assert (machine.goal is not None) == (state in (S.NAVIGATING, S.YIELDING, S.ALIGNING, S.DRIVING))
     assert (machine.ride is not None) == (state in ENGAGED)
     params = machine.params
     assert machine.speed_limit_mps == (0.4 if state in WITH_RIDER else params.cruise_speed_mps)

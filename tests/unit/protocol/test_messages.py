@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, fields, is_dataclass
 from types import UnionType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
@@ -70,7 +70,7 @@ def _strategy(hint: Any) -> st.SearchStrategy[Any]:
         )
     if get_origin(hint) is tuple and get_args(hint)[-1] is Ellipsis:
         return st.lists(_strategy(get_args(hint)[0]), max_size=3).map(tuple)
-    if get_origin(hint) in (tuple, UnionType):
+    if get_origin(hint) in (tuple, Union, UnionType):
         return (st.tuples if get_origin(hint) is tuple else st.one_of)(*map(_strategy, get_args(hint)))
     if not is_dataclass(hint):
         return st.from_type(hint)

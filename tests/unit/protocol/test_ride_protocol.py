@@ -456,7 +456,7 @@ def test_a_robot_that_is_stuck_gives_up_and_says_why() -> None:
     agent.step(_here(1.0), 1.0)
     goal = agent.status(1.0).goal
     assert goal is not None
-    for now in (2.0, 30.9, 31.2):
+    for now in (1.1, 2.0, 30.9, 31.2):
         assert agent.outcome is None
         report = NavigationReport(goal.id, "blocked", "no way past an obstacle")
         agent.step(Tick(replace(_here(now).situation, navigation=report)), now)
@@ -647,6 +647,8 @@ _USUAL: dict[str, tuple[type[Message], ...]] = {
 def _walk(seed: int, steps: int) -> set[str]:
     """An agent to whom everything happens, what is usual more often than the rest; the states that it saw."""
     rng = random.Random(seed)
+    near = Pose2D(WEST.waiting_pose.x + 3.0, WEST.waiting_pose.y)
+    parked = Beacon(robot_id="parked", state="idle", profile=50.0, priority=10, pose=near)
     agent = _agent(min_ride_m=5.0, may_ride=seed % 2 == 0, seek_timeout_s=0.5)
     now = 0.0
     visited: set[str] = set()
@@ -668,7 +670,10 @@ def _walk(seed: int, steps: int) -> set[str]:
     for _ in range(steps):
         match rng.choices(("goal", "message", "time"), (1, 20, 15))[0]:
             case "goal":
-                agent.step(rng.choice((GoalCancelled(), GoalGiven(RIDER_GOAL), GoalGiven(DRIVER_GOAL))), now)
+                agent.step(parked, now)
+                agent.step(
+                    rng.choice((GoalCancelled(), GoalGiven(RIDER_GOAL), GoalGiven(DRIVER_GOAL), GoalGiven(near))), now
+                )
             case "message":
                 usual = _USUAL.get(agent.status(now).state, (Driver, Ack))
                 kinds = usual if rng.random() < 0.6 else tuple(MESSAGE_TYPES.values())

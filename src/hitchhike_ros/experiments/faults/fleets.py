@@ -43,6 +43,8 @@ _POINTS = (
 # Boxes beside the middle of corridors, which robots find.
 _BOXES = (("a", 20.0, 3.0), ("b", 48.0, 5.0), ("c", 20.0, 35.0), ("d", 48.0, 33.0), ("e", 32.0, 18.0))
 _LEAST_TRIP_M = 15.0
+# The share of runs in which most robots have one goal.
+_COMMON_SHARE = 0.35
 # By then every robot is at its goal or has reported why not.
 _LIMIT_S = 1500.0
 # Steps of a ride in which a robot that falls silent leaves another one waiting.
@@ -68,6 +70,8 @@ _COMMON: dict[str, Any] = {
     "min_ride_m": 10.0,
     "settle_timeout_s": 6.0,
     "lost_timeout_s": 20.0,
+    "exact_goal_wait_s": 30.0,
+    "progress_timeout_s": 60.0,
 }
 
 
@@ -147,17 +151,26 @@ def fault_world(seed: int) -> GridWorld:
         "offer_window_s": luck.uniform(2.0, 4.0),
     }
     point = luck.choice(sites.hitchhiking_points) if luck.random() < 0.8 else None
+    meeting = _common_goal(seed)
     for k, name in enumerate(names):
-        _add_robot(world, luck, name, {**common, "marker_id": k}, point)
+        _add_robot(world, luck, name, {**common, "marker_id": k}, point, meeting)
     if severe:
         _crash(world, luck, names)
     return world
 
 
 def _add_robot(
-    world: GridWorld, luck: random.Random, name: str, params: dict[str, Any], point: HitchhikingPoint | None
+    world: GridWorld,
+    luck: random.Random,
+    name: str,
+    params: dict[str, Any],
+    point: HitchhikingPoint | None,
+    meeting: _CommonGoal | None,
 ) -> None:
-    """Around ``point`` those that ride stand, and those that drive come by; without one everybody is anywhere."""
+    """Around ``point`` those that ride stand, and those that drive come by; without one everybody is anywhere.
+
+    With a ``meeting`` most have it for their first goal.
+    """
     drives = not world.robots or luck.random() < 0.3
     own = {
         "profile": luck.choice((50.0, 70.0, 90.0) if drives else (30.0, 50.0, 70.0)),
@@ -178,12 +191,36 @@ def _add_robot(
     for _ in range(luck.randint(1, 2)):
         goals.append(_goal(luck, goals[-1] if goals else start, ahead))
         ahead = None
+    if meeting is not None:
+        own["exact_goal"] = meeting.luck.random() < 0.3
+        if meeting.luck.random() < 0.7:
+            goals[0] = meeting.goal(start)
     errands = [Errand(goal, luck.uniform(0.0, 8.0), luck.uniform(0.0, 20.0)) for goal in goals]
     offset_s, begins_s = luck.uniform(-5.0, 5.0), luck.uniform(0.0, 3.0)
     world.add_robot(name, start, HitchhikingParameters(**{**params, **own}), errands, offset_s, begins_s)
     if luck.random() < 0.1:
         goal, when = luck.choice((None, goals[0], _place(luck))), luck.uniform(10.0, _LAST_MISHAP_S)
         world.at(when, lambda: _change_mind(world, name, goal))
+
+
+@dataclass(frozen=True)
+class _CommonGoal:
+    """Where several robots want to be at the same time, to within a metre."""
+
+    place: Pose2D
+    luck: random.Random
+
+    def goal(self, start: Pose2D) -> Pose2D:
+        """The place, or one beside it; one that begins there goes elsewhere first."""
+        apart_m, theta = self.luck.choice((0.0, 0.0, 0.2, 0.5, 1.0)), self.luck.uniform(-math.pi, math.pi)
+        goal = Pose2D(self.place.x + apart_m * math.cos(theta), self.place.y + apart_m * math.sin(theta), theta)
+        return goal if abs(goal.x - start.x) + abs(goal.y - start.y) >= _LEAST_TRIP_M else _goal(self.luck, start, None)
+
+
+def _common_goal(seed: int) -> _CommonGoal | None:
+    """In a third of the runs; the rest of a run is drawn as without it."""
+    luck = random.Random(f"{seed}: a common goal")
+    return _CommonGoal(_place(luck), luck) if luck.random() < _COMMON_SHARE else None
 
 
 def _change_mind(world: GridWorld, name: str, goal: Pose2D | None) -> None:

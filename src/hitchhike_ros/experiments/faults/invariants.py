@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from hitchhike_ros.protocol.driver.convoy import Rider
 from hitchhike_ros.protocol.driver.states import DriverState
-from hitchhike_ros.protocol.events import Award, Effect, Report, Send
+from hitchhike_ros.protocol.events import Award, Effect, GoalGiven, Report, Send
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.messages import (
     Accept,
@@ -35,6 +35,11 @@ from hitchhike_ros.simulation.grid.world import GridWorld
 # A driver has its riders behind it, and a hitchhiker is on its ride.
 _WITH_RIDER = (Phase.COUPLED, Phase.HANDING_OVER)
 _ON_THE_RIDE = (Phase.COUPLED, Phase.RETURNING, Phase.HANDING_OVER)
+_MAY_END = (Reason.GOAL_CHANGED, Reason.GOAL_STAYS_TAKEN)
+# Around what appears on the way, and back to a corridor that it has left, a robot drives so many times the way at most.
+_DETOUR = 2.0
+# The states in which a robot asks for a ride, and those in which it is asked for one: each begins a new one.
+_ASKS, _IS_ASKED = ("requesting",), ("offering", "aligning")
 # Ways that a driver counts and its rider does not: it stops a little after it lost the rider, and localizes with noise.
 _METRES, _METRES_SHARE = 3.0, 0.06
 # Of a ride apart from its duration: questions, answers, last words, and as much again for luck.
@@ -72,6 +77,8 @@ class Referee:
         self._answered: set[tuple[str, str, str]] = set()
         self._owed: dict[str, set[str]] = defaultdict(set)  # boxes that a robot has acknowledged
         self._heard: dict[tuple[str, str, int], frozenset[str]] = {}
+        self._goals: dict[str, tuple[float, float]] = {}  # since when a robot has its goal, and how far away that was
+        self._ends_by: dict[str, float] = {}
         world.observers.append(self.see)
 
     def see(self, now: float, name: str, event: object, effects: Sequence[Effect]) -> None:
@@ -80,6 +87,7 @@ class Referee:
         if event == "crash":
             self._forget(name)
             return
+        self._note_goal(now, robot, event)
         if isinstance(event, Beacon):
             return  # changes nothing but what is remembered
         self._note(now, robot, event, effects)
@@ -98,9 +106,8 @@ class Referee:
             if missing:
                 self._fail(f"{name} has acknowledged {', '.join(sorted(missing))}, which its map does not have")
             for trip in robot.trips:
-                if (
-                    not trip.reached and trip.reason.reason is not Reason.GOAL_CHANGED
-                ):  # every place of the world can be reached
+                # Every place of the world can be reached, but for one that another robot has.
+                if not trip.reached and trip.reason.reason not in _MAY_END:
                     self._fail(f"{name} gave up a goal: {trip.reason}")
         for ride_id, ride in self._rides.items():
             if ride.completed and ride.awards != 1:
@@ -130,6 +137,23 @@ class Referee:
                 self._note_award(robot, effect)
             elif isinstance(effect, Report) and effect.reason is Reason.RIDE_COMPLETED:
                 self._note_completed(robot, effects)
+
+    def _note_goal(self, now: float, robot: GridRobot, event: object) -> None:
+        """By when the goal under way has to end, by the timeouts of the robot itself."""
+        trip = robot.trip
+        if trip is None:
+            self._goals.pop(robot.name, None)
+            self._ends_by.pop(robot.name, None)
+            return
+        if event == "restart" or isinstance(event, GoalGiven) or robot.name not in self._goals:
+            here = (robot.body.x, robot.body.y)
+            way_m = self._world.paths.metres(here, (trip.goal.x, trip.goal.y), robot.known_ids)
+            self._goals[robot.name] = now, way_m
+        since, way_m = self._goals[robot.name]
+        states = [state for time, state, _ in robot.history if time >= since]
+        asks, asked = (sum(states.count(state) for state in of) for of in (_ASKS, _IS_ASKED))
+        ends_s = self._alone_s(robot, way_m) + asks * self._ride_s(robot, way_m) + asked * self._carry_s(robot, way_m)
+        self._ends_by[robot.name] = since + ends_s + self._slack_s
 
     def _note_sent(self, now: float, robot: GridRobot, message: Message) -> None:
         if isinstance(message, Beacon):
@@ -210,6 +234,12 @@ class Referee:
             elif now - since > 2.0 * robot.params.offer_window_s + robot.params.confirm_timeout_s + self._slack_s:
                 self._fail(f"{name} has neither taken nor refused the offer of {driver} for {ride_id}")
 
+        for name, ends_by in self._ends_by.items():
+            robot = self._world.robots[name]
+            if now > ends_by and robot.alive and robot.trip is not None:
+                since, way_m = self._goals[name]
+                self._fail(f"{name} is {robot.status.state} {now - since:.0f} s after it got a goal {way_m:.0f} m away")
+
     def _check_messages(self, ride_id: str, ride: _Ride, robot: GridRobot) -> None:
         p = robot.params
         a_second = 2.0 / p.update_period_s + 3.0 / p.request_period_s + 2.0 / p.repeat_period_s
@@ -240,6 +270,27 @@ class Referee:
         """So long may a rider take to notice that its driver is gone."""
         return robot.params.message_timeout_s + robot.params.settle_timeout_s
 
+    def _alone_s(self, robot: GridRobot, way_m: float) -> float:
+        """So long may a robot that drives alone take to its goal, or to say why it does not come there."""
+        p = robot.params
+        drive_s = _DETOUR * way_m / min(p.cruise_speed_mps, p.ride_speed_mps)
+        return drive_s + p.progress_timeout_s + (p.exact_goal_wait_s if p.exact_goal else 0.0)
+
+    def _ride_s(self, robot: GridRobot, way_m: float) -> float:
+        """And so much longer with each ride that it asks for, waiting and meeting, riding and returning."""
+        p = robot.params
+        meet_s = p.patience_s + p.confirm_timeout_s + self._alone_s(robot, way_m) + p.max_align_s + p.max_couple_s
+        return_s = p.seek_timeout_s + p.catch_up_timeout_s + 2.0 * p.localize_timeout_s + p.max_couple_s + p.part_s
+        wait_s = p.lost_timeout_s + p.decouple_timeout_s + p.settle_timeout_s
+        return p.patience_s + meet_s + _DETOUR * way_m / p.ride_speed_mps + return_s + wait_s
+
+    def _carry_s(self, robot: GridRobot, way_m: float) -> float:
+        """And with each that it is asked for: its riders may be lost one after another."""
+        p = robot.params
+        board_s = p.confirm_timeout_s + p.patience_s + self._alone_s(robot, way_m) + p.max_align_s
+        couple_s = p.places * (p.patience_s + p.max_couple_s)
+        return board_s + couple_s + _DETOUR * way_m / p.ride_speed_mps + p.places * self._lost_s(robot)
+
     def _rider_knows(self, rider: Rider) -> bool:
         robot = self._world.robots[rider.offer.hitchhiker]
         machine = robot.agent.hitchhiker
@@ -258,6 +309,7 @@ class Referee:
         """A robot that crashes forgets everything but its map, and owes nobody anything."""
         self._offers = {key: since for key, since in self._offers.items() if name not in key[:2]}
         self._owed.pop(name, None)
+        self._ends_by.pop(name, None)
         self._since = {what: since for what, since in self._since.items() if name not in what}
         for robot in self._world.robots.values():
             for rider in robot.agent.driver.rides:

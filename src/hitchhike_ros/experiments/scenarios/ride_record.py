@@ -11,7 +11,6 @@ from hitchhike_ros.core.datatypes import Contact, Obstacle, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import InputFileError
 from hitchhike_ros.protocol.events import Award
 from hitchhike_ros.protocol.messages import Covariance, covariance_rows
-from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import Status
 
 
@@ -134,7 +133,7 @@ class RobotRecord:
         if not self.has_goal:
             return True
         newest = self.newest_status
-        return self.ended and newest is not None and newest.ending.reason is Reason.ARRIVED
+        return self.ended and newest is not None and newest.ending.reached
 
     def add_status(self, status: Status) -> bool:
         """Take a status; whether anything but time, metres and feed-forward changed."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Positive
 from hitchhike_ros.core.geometry import between
 from hitchhike_ros.core.polyline import Polyline
-from hitchhike_ros.protocol.reasons import Reason
 from hitchhike_ros.protocol.status import Status
 
 _STOP = " "
@@ -159,7 +158,7 @@ class OperatorScript:
     @property
     def completed(self) -> bool:
         """Whether every robot has come to its goal."""
-        return self.turn is None and all(self._newest[name].ending.reason is Reason.ARRIVED for name in self._order)
+        return self.turn is None and all(self._newest[name].ending.reached for name in self._order)
 
     @property
     def waits_for(self) -> str:

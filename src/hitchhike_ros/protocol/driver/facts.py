@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
-from hitchhike_ros.core.datatypes import PoseEstimate
+from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.core.errors import PlanningError
+from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.mapping.sites import Sites
+from hitchhike_ros.planning.free_place import taken_by
 from hitchhike_ros.protocol.announcement import OwnPath
+from hitchhike_ros.protocol.common_goal import SETTLED_WITHIN_M, Yield, occupied, settle, stands
 from hitchhike_ros.protocol.driver.convoy import Convoy, Odometer, Offer, Rider
-from hitchhike_ros.protocol.driver.route import NavigationWatch, Route, onward
+from hitchhike_ros.protocol.driver.navigation_watch import NavigationWatch
+from hitchhike_ros.protocol.driver.route import Route, onward
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.machine import Facts, of_phases
 from hitchhike_ros.protocol.matching import Planner
-from hitchhike_ros.protocol.messages import RearMarker, Waypoint
+from hitchhike_ros.protocol.messages import Beacon, RearMarker, Waypoint
+from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
 from hitchhike_ros.protocol.phase import Phase
 
@@ -37,6 +44,14 @@ class DriverFacts(Facts):
     sites: Sites
     planner: Planner
     rear_marker: RearMarker  # on the own back
+    neighbours: Neighbours
+    radius_m: float
+    said: Beacon | None = None  # the own beacon that others have heard last
+    settled: Yield | None = None  # what the rule says now of the goal, or of the end of the ride
+    yields: Yield | None = None  # and what the robot acts on: where it stops before another that has the place
+    orders: int = 0  # to stop somewhere else
+    set_down: bool = False  # by a driver, where it was given its goal
+    stands_since: float = math.inf  # before a goal that it waits for
     navigation: NavigationWatch = field(init=False)
     route: Route | None = None  # to the own goal; only an idle robot has none
     judged: tuple[object, float, object] | None = None  # an event, when it came, and what offers.verdict made of it
@@ -46,7 +61,7 @@ class DriverFacts(Facts):
     odometer: Odometer = of_phases(Phase.COUPLED, Phase.HANDING_OVER)
 
     def __post_init__(self) -> None:
-        self.navigation = NavigationWatch(self.params)
+        self.navigation = NavigationWatch(self.params, self.planner)
 
     @property
     def riders(self) -> tuple[Rider, ...]:
@@ -84,6 +99,21 @@ class DriverFacts(Facts):
             return cruise
         needed = self.to_board_m() / max(rider.due - self.now, 1e-3)
         return min(max(cruise, needed), max(cruise, self.params.safe_speed_mps))
+
+    def settlement(self, place: Pose2D) -> Yield | None:
+        """Where it stops before ``place``, which it is on its way to and another robot has; None where it has that."""
+        estimate, said = self.estimate, self.said
+        if estimate is None or said is None or stands(said) or distance(estimate.pose, place) > SETTLED_WITHIN_M:
+            return None
+        beacons = self.neighbours.beacons(self.now, self.params.contact_timeout_s)
+        riders = {rider.offer.hitchhiker for rider in self.riders}
+        others = occupied(said, (beacon for beacon in beacons if beacon.robot_id not in riders))
+        if taken_by(place, self.radius_m, others) is None:
+            return None
+        try:
+            return settle(self.planner(estimate.pose, place), place, self.radius_m, others)
+        except PlanningError:
+            return None  # navigation finds out too, and says why
 
     def own_path(self) -> OwnPath | None:
         """The way to the own goal as far as it is ahead; None without one."""

@@ -9,16 +9,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from hitchhike_ros.core.datatypes import Pose2D
+from hitchhike_ros.core.geometry import distance
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.driver.convoy import Convoy, Odometer, Offer, Rider
 from hitchhike_ros.protocol.driver.facts import ENGAGED, Boarding, DriverFacts
 from hitchhike_ros.protocol.driver.offers import RIDE_TOLERANCE_M, Refusal, answer, promise, verdict
 from hitchhike_ros.protocol.driver.route import Route
 from hitchhike_ros.protocol.driver.states import DriverState
-from hitchhike_ros.protocol.driver.table import ROWS, asker, behind, late, leaving, sender, silent
+from hitchhike_ros.protocol.driver.table import (
+    ROWS,
+    asker,
+    behind,
+    late,
+    leaving,
+    sender,
+    silent,
+    stands_before_goal,
+)
 from hitchhike_ros.protocol.events import Award, GoalGiven
 from hitchhike_ros.protocol.machine import Machine
 from hitchhike_ros.protocol.matching import Planner
@@ -40,12 +51,17 @@ from hitchhike_ros.protocol.messages import (
     Waypoint,
     covariance_rows,
 )
+from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.reasons import Ending, Reason
 from hitchhike_ros.protocol.status import ANY_MARKER, GoalCommand, ModuleSwitches, RideStatus, ServoCommand
 
 # The driver aligns this well, so that the hitchhiker finds the marker in front of it (chosen).
 _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD = 0.08, 0.06
+# Where it stops before a goal does not matter more exactly (chosen).
+_STOP_TOLERANCE_M = 0.2
+# Who has the goal is looked at so often (s, chosen: twice a beacon).
+_SETTLE_S = 0.5
 
 S = DriverState
 
@@ -54,20 +70,36 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
     """Drives to the robot's own goal and takes hitchhikers along where that is allowed.
 
     ``planner`` gives the path (N, 2) in ``map`` between two poses and raises PlanningError where there is none;
-    ``marker_pose`` is the marker on the own back in base_footprint.
+    ``marker_pose`` is the marker on the own back in base_footprint; ``radius_m`` is the robot's; ``neighbours`` are the
+    robots in reach.
     """
 
     INITIAL: ClassVar = S.IDLE
     ROWS: ClassVar = ROWS
 
     def __init__(
-        self, robot_id: str, params: HitchhikingParameters, sites: Sites, planner: Planner, marker_pose: Pose2D
+        self,
+        robot_id: str,
+        params: HitchhikingParameters,
+        sites: Sites,
+        planner: Planner,
+        marker_pose: Pose2D,
+        radius_m: float = 0.3,
+        neighbours: Neighbours | None = None,
     ) -> None:
         rear_marker = RearMarker(
             marker_id=params.marker_id, marker_size_m=params.marker_size_m, marker_pose=marker_pose
         )
         super().__init__(
-            DriverFacts(robot_id=robot_id, params=params, sites=sites, planner=planner, rear_marker=rear_marker)
+            DriverFacts(
+                robot_id=robot_id,
+                params=params,
+                sites=sites,
+                planner=planner,
+                rear_marker=rear_marker,
+                neighbours=neighbours or Neighbours(),
+                radius_m=radius_m,
+            )
         )
         self.robot_id = robot_id
         self.params = params
@@ -102,13 +134,18 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
         if f.state is S.NAVIGATING and f.route is not None:
             g = f.route.goal
             return GoalCommand(f.route.order, g.x, g.y, g.theta)
+        if f.state is S.YIELDING and f.route is not None and f.yields is not None and not stands_before_goal(f):
+            p = f.yields.place.pose
+            return GoalCommand(f"{f.route.order}-{f.orders}", p.x, p.y, p.theta, _STOP_TOLERANCE_M, math.pi)
         if f.state is S.ALIGNING and self.offer is not None:
             p = self.offer.point.aligning_pose
             order = f"{self.offer.ride_id}-align"
             return GoalCommand(order, p.x, p.y, p.theta, _ALIGN_TOLERANCE_M, _ALIGN_TOLERANCE_RAD)
         if f.state is S.DRIVING and (leaves := f.convoy.next_to_leave) is not None:
-            p = leaves.offer.decouple_pose
-            return GoalCommand(f"{leaves.offer.ride_id}-ride", p.x, p.y, p.theta, RIDE_TOLERANCE_M, math.pi)
+            order, p = f"{leaves.offer.ride_id}-ride", leaves.offer.decouple_pose
+            if f.yields is not None:
+                order, p = f"{order}-{f.orders}", f.yields.place.pose
+            return GoalCommand(order, p.x, p.y, p.theta, RIDE_TOLERANCE_M, math.pi)
         return None
 
     @property
@@ -141,6 +178,23 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
     def free_places(self) -> int:
         return self.facts.free_places
 
+    @property
+    def stops_at(self) -> Pose2D | None:
+        """Where it will stand: at its goal, or before it; None without one."""
+        f = self.facts
+        if f.state is S.YIELDING and f.yields is not None:
+            return f.yields.place.pose
+        return None if f.route is None else f.route.goal
+
+    @property
+    def left_m(self) -> float | None:
+        """How long the way to the goal is; None where it does not drive there now, or does not know."""
+        f, left_m = self.facts, self.facts.navigation.left_m
+        if left_m is None or f.route is None or f.state not in (S.NAVIGATING, S.YIELDING, S.DRIVING):
+            return None
+        towards = self._towards()  # the end of a ride may be on the way
+        return left_m if towards is None else left_m + distance(towards, f.route.goal)
+
     def announced(self) -> tuple[Waypoint, ...]:
         """The way on which it would take a hitchhiker along, and when."""
         return self.facts.announced()
@@ -148,6 +202,9 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
     # Goals.
 
     def _start(self, event: GoalGiven) -> None:
+        f = self.facts
+        f.navigation.forget()
+        f.set_down, f.stands_since = event.set_down, math.inf
         self._order(event.goal)
         self.ending = event.why
 
@@ -160,18 +217,70 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
         """A new order to navigation, with an id that no earlier one had, not even one of before a restart."""
         f = self.facts
         self._goals += 1
-        f.route = Route(goal, f"{self.robot_id}-{self._goals}-{f.now:.1f}", f.planner, f.sites, f.params)
+        f.settled = f.yields = None
+        f.route = Route(goal, self._order_id(), f.planner, f.sites, f.params)
+
+    def _order_id(self) -> str:
+        return f"{self.robot_id}-{self._goals}-{self.facts.now:.1f}"
 
     def _forget_goal(self) -> None:
-        self.facts.route = None
+        self.facts.route = self.facts.settled = self.facts.yields = None
 
     def _watch_navigation(self) -> None:
-        f, goal = self.facts, self.goal
-        f.navigation.note(f.situation.navigation, None if goal is None else goal.id, f.entered, f.now)
+        f, goal, towards = self.facts, self.goal, self._towards()
+        if goal is None or towards is None:
+            f.navigation.pause()
+        else:
+            f.navigation.note(f.situation.navigation, goal.id, towards, f.estimate, f.now)
+
+    def _pause_watch(self) -> None:
+        self.facts.navigation.pause()
 
     def _note_outcome(self) -> None:
+        """What comes next is new."""
         assert self.facts.navigation.ending is not None
         self.ending = self.facts.navigation.ending
+        self.facts.navigation.forget()
+
+    def _towards(self) -> Pose2D | None:
+        """Where navigation is to bring it in the end, wherever it stops on the way."""
+        f = self.facts
+        if f.state in (S.NAVIGATING, S.YIELDING):
+            return None if f.route is None else f.route.goal
+        if f.state is S.DRIVING:
+            leaves = f.convoy.next_to_leave
+            return None if leaves is None else leaves.offer.decouple_pose
+        return None if self.offer is None else self.offer.point.aligning_pose
+
+    # A goal that another robot has.
+
+    def _settle(self) -> None:
+        towards = self._towards()
+        if towards is not None and self._every(_SETTLE_S, "settle"):
+            self.facts.settled = self.facts.settlement(towards)
+
+    def _yield(self) -> None:
+        f = self.facts
+        f.yields, f.orders = f.settled, f.orders + 1
+
+    def _stand(self) -> None:
+        self.facts.stands_since = min(self.facts.stands_since, self.facts.now)
+
+    def _go_to_goal(self) -> None:
+        """It has become free: an order of its own, under which navigation has not been blocked yet."""
+        f = self.facts
+        assert f.route is not None
+        self._goals += 1
+        f.yields, f.route.order = None, self._order_id()
+
+    def _note_taken(self) -> None:
+        f = self.facts
+        yields = f.settled or f.yields
+        assert yields is not None and f.route is not None
+        if f.estimate is not None:
+            place = replace(yields.place, before_m=distance(f.estimate.pose, f.route.goal))
+            yields = replace(yields, place=place)
+        self.ending = Ending(self.ending.reason, yields.says())
 
     def _tell(self) -> None:
         self._report(self.ending)
@@ -231,6 +340,7 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
                 marker_pose=rear_marker.marker_pose,
                 path=path,
                 safe_speed_mps=self.params.safe_speed_mps,
+                goal=None if f.route is None else f.route.goal,
             )
         )
 
@@ -299,6 +409,7 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
         rider.coupled, rider.gap_m, rider.acked_at, rider.following = True, coupled.gap_m, self.facts.now, True
 
     def _pull_away(self) -> None:
+        self.facts.navigation.forget()
         self.facts.odometer = Odometer()
 
     # The ride.

@@ -1,4 +1,4 @@
-"""The driver's own way: its goal and the path there, how far it is to the boarding place, how navigation fares."""
+"""The driver's own way: its goal and the path there, how far it is to the boarding place."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.announcement import OwnPath
-from hitchhike_ros.protocol.events import NavigationReport
 from hitchhike_ros.protocol.matching import Boardings, Planner
 from hitchhike_ros.protocol.messages import Request, Waypoint
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
-from hitchhike_ros.protocol.reasons import Ending, Reason
 
 # Answers to so many questions are remembered (chosen).
 _REMEMBERED = 30
@@ -64,30 +62,3 @@ def onward(
     """The rest of ``path`` for whoever boards at ``point``, ``board_m`` along it, in ``in_s``."""
     ends = [(pose.x, pose.y) for pose in (point.waiting_pose, point.aligning_pose)]
     return OwnPath(np.vstack([ends, path.line.ahead(board_m).points[1:]])).waypoints(speed_mps, in_s)
-
-
-class NavigationWatch:
-    """Whether navigation arrives, or has been stuck or without a path for too long, of one order after another."""
-
-    def __init__(self, params: HitchhikingParameters) -> None:
-        self._params = params
-        self._stuck_since = self._planned_at = 0.0
-        self.ending: Ending | None = None
-        """How the present order ends: ``Reason.ARRIVED``, or why it is given up; None while navigation is at it."""
-
-    def note(self, report: NavigationReport | None, order: str | None, ordered_at: float, now: float) -> None:
-        """What navigation says now; ``order`` is the present one, given at ``ordered_at``."""
-        state = report.state if report is not None and report.goal_id == order else ""
-        if state != "failed":
-            self._planned_at = now
-        if state not in ("blocked", "failed"):
-            self._stuck_since = now
-        # A new order is not stuck because the one before was.
-        without_plan_s = now - max(self._planned_at, ordered_at)
-        stuck_s = now - max(self._stuck_since, ordered_at)
-        if state == "arrived":
-            self.ending = Ending(Reason.ARRIVED)
-        elif without_plan_s > self._params.planner_patience_s or stuck_s > self._params.stuck_timeout_s:
-            self.ending = Ending(Reason.CANNOT_GO_ON, "" if report is None else report.reason)
-        else:
-            self.ending = None

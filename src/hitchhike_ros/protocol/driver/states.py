@@ -10,6 +10,7 @@ class DriverState(RoleState):
 
     IDLE = "idle", Phase.ALONE
     NAVIGATING = "navigating", Phase.ALONE
+    YIELDING = "yielding", Phase.ALONE
     OFFERING = "offering", Phase.ASKING
     ALIGNING = "aligning", Phase.MEETING
     ALIGNED = "aligned", Phase.COUPLING

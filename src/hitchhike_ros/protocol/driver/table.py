@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from hitchhike_ros.core.geometry import distance, wrap_angle
 from hitchhike_ros.protocol.driver.convoy import Offer, Rider
 from hitchhike_ros.protocol.driver.facts import ENGAGED, WITH_RIDER, DriverFacts
 from hitchhike_ros.protocol.driver.offers import verdict
@@ -28,6 +29,11 @@ from hitchhike_ros.protocol.reasons import Reason
 
 # A rider that follows has caught up when it is no farther behind than this beyond the gap (chosen).
 _CAUGHT_UP_M = 0.3
+# As obstacle avoidance has it by default: a robot that is set down so near to its goal is there.
+GOAL_TOLERANCE_M, GOAL_TOLERANCE_RAD = 0.10, 0.087
+# A place to stop at is another one beyond this, and one that is so near is not driven to; a robot that is set down
+# behind its driver stays there although it could come a little nearer (chosen).
+_THERE_M, _SET_DOWN_M = 0.3, 1.0
 
 S = DriverState
 Group = Callable[[DriverFacts], tuple[Rider, ...]]
@@ -140,6 +146,47 @@ def given_up(f: DriverFacts) -> bool:
     return ending is not None and ending.reason is not Reason.ARRIVED
 
 
+def is_at_goal(f: DriverFacts) -> bool:
+    """A driver has set it down there: nothing is driven any more (P17 Algorithm 2, line 14)."""
+    assert f.route is not None
+    if not f.set_down or f.estimate is None:
+        return False
+    here, goal = f.estimate.pose, f.route.goal
+    off_rad = abs(wrap_angle(here.theta - goal.theta))
+    return distance(here, goal) <= GOAL_TOLERANCE_M and off_rad <= GOAL_TOLERANCE_RAD
+
+
+def is_taken(f: DriverFacts) -> bool:
+    """Another robot has the goal."""
+    return f.settled is not None
+
+
+def is_free(f: DriverFacts) -> bool:
+    """Nobody has the goal any more."""
+    return f.settled is None
+
+
+def need_not_move(f: DriverFacts) -> bool:
+    """It stands where it would stop before the goal, or nearly: behind its driver, where that has set it down."""
+    return f.settled is not None and f.settled.place.to_go_m <= (_SET_DOWN_M if f.set_down else _THERE_M)
+
+
+def is_elsewhere(f: DriverFacts) -> bool:
+    """Where it is to stop now is not where it was to stop before."""
+    now, before = f.settled, f.yields
+    if now is None or before is None:
+        return now is not before
+    return now.to != before.to or distance(now.place.pose, before.place.pose) > _THERE_M
+
+
+def need_not_be_exact(f: DriverFacts) -> bool:
+    return not f.params.exact_goal
+
+
+def stands_before_goal(f: DriverFacts) -> bool:
+    return f.stands_since <= f.now
+
+
 def somebody_silent(f: DriverFacts) -> bool:
     return bool(silent(f))
 
@@ -201,25 +248,53 @@ def decouple_timeout(f: DriverFacts) -> float:
     return f.params.decouple_timeout_s
 
 
+def exact_goal_wait(f: DriverFacts) -> float:
+    return f.params.exact_goal_wait_s
+
+
+def since_it_stands(f: DriverFacts) -> float:
+    """For the first time before this goal: one that becomes free now and then is not waited for again and again."""
+    return f.stands_since
+
+
+GOAL_TIME = Deadline(exact_goal_wait, since_it_stands)
 OFFER_TIME, ALIGN_TIME, COUPLE_TIME = Deadline(confirm_timeout), Deadline(max_align), Deadline(max_couple)
 LOST_TIME, HANDOVER_TIME = Deadline(lost_timeout), Deadline(decouple_timeout)
 
 # Without a rider the driver goes on to its own goal; with those that are left once they have moved up.
-R, ON, WAIT = Reason, S.NAVIGATING, S.WAITING_FOR_RIDER
+R, ON, YIELD, WAIT = Reason, S.NAVIGATING, S.YIELDING, S.WAITING_FOR_RIDER
 BOARDING = (S.ALIGNING, S.ALIGNED)
+ALONE = (S.IDLE, S.NAVIGATING, S.YIELDING)
+END = ("_tell", "_forget_goal")
 
 ROWS = (
     # Its own goal.
-    Row((S.IDLE, S.NAVIGATING), GoalGiven, "_start", S.NAVIGATING),
+    Row(ALONE, GoalGiven, "_start", S.NAVIGATING),
     Row(ENGAGED, GoalGiven, ("_end_rides", "_start"), S.NAVIGATING, why=R.GOAL_CANCELLED),
-    Row((S.IDLE, S.NAVIGATING), GoalCancelled, "_forget_goal", S.IDLE, why=R.GOAL_CANCELLED),
+    Row(ALONE, GoalCancelled, "_forget_goal", S.IDLE, why=R.GOAL_CANCELLED),
     Row(ENGAGED, GoalCancelled, ("_end_rides", "_forget_goal"), S.IDLE, why=R.GOAL_CANCELLED),
-    Do((S.NAVIGATING, S.ALIGNING, S.DRIVING), "_watch_navigation"),
-    Row((S.NAVIGATING,), Tick, ("_note_outcome", "_tell", "_forget_goal"), S.IDLE, (arrived,)),
-    Row((S.NAVIGATING,), Tick, ("_note_outcome", "_tell", "_forget_goal"), S.IDLE, (given_up,)),
+    Do((S.NAVIGATING, S.YIELDING, S.ALIGNING, S.DRIVING), "_watch_navigation"),
+    Do((S.OFFERING, S.ALIGNED, WAIT, S.DECOUPLING), "_pause_watch"),
+    Row((S.NAVIGATING,), Tick, ("_note_outcome", *END), S.IDLE, (arrived,)),
+    Row((S.NAVIGATING, S.YIELDING), Tick, ("_note_outcome", *END), S.IDLE, (given_up,)),
+    Row((S.NAVIGATING,), Tick, END, S.IDLE, (is_at_goal,), R.ARRIVED),
+    # Another robot has its goal, or the end of the ride.
+    Do((S.NAVIGATING, S.YIELDING, S.DRIVING), "_settle"),
+    Row((S.NAVIGATING,), Tick, ("_note_taken", *END), S.IDLE, (need_not_move, need_not_be_exact), R.GOAL_TAKEN),
+    Row((S.NAVIGATING,), Tick, ("_yield", "_stand"), YIELD, (need_not_move,)),
+    Row((S.NAVIGATING,), Tick, "_yield", YIELD, (is_taken,)),
+    Do((S.YIELDING,), "_stand", (arrived,)),
+    Row(
+        *((S.YIELDING,), Tick, ("_note_taken", *END), S.IDLE, (is_taken, stands_before_goal, need_not_be_exact)),
+        why=R.GOAL_TAKEN,
+    ),
+    Row((S.YIELDING,), Tick, "_go_to_goal", ON, (is_free,)),
+    Row((S.YIELDING,), Tick, "_yield", YIELD, (is_elsewhere,)),
+    Row((S.YIELDING,), GOAL_TIME, ("_note_taken", *END), S.IDLE, why=R.GOAL_STAYS_TAKEN),
+    Do((S.DRIVING,), "_yield", (is_elsewhere,)),
     # Requests.
     Row((S.NAVIGATING,), Request, "_offer", S.OFFERING, (is_offered,)),
-    Row((S.IDLE, S.NAVIGATING), Request, "_answer"),
+    Row(ALONE, Request, "_answer"),
     Row(ENGAGED, Request, "_answer", when=(is_stranger,)),
     Row(ENGAGED, Request, "_refuse_later", when=(asks_for_later,)),
     Row(ENGAGED, Request, ("_drop_asker", "_set_out", "_offer"), S.OFFERING, (asks_anew, only(asker), is_offered)),
@@ -249,7 +324,7 @@ ROWS = (
     Row((S.NAVIGATING,), Lock, ("_board_there", "_confirm_lock"), S.ALIGNING, (is_promised,)),
     Row(BOARDING, Lock, "_confirm_lock", when=(is_rider,)),
     Row(BOARDING, Lock, ("_take_along", "_confirm_lock"), when=(is_promised,)),
-    Row((S.IDLE, S.NAVIGATING, S.OFFERING, *BOARDING), Lock, "_refuse_lock"),
+    Row((*ALONE, S.OFFERING, *BOARDING), Lock, "_refuse_lock"),
     Row(WITH_RIDER, Lock, "_refuse_lock", when=(is_no_rider,)),
     # Alignment.
     Row((S.ALIGNING,), ALIGN_TIME, ("_end_rides", "_set_out"), ON, why=R.UNABLE_TO_ALIGN),

@@ -25,7 +25,8 @@ class Beacon(Message):
     """``status``: who is there, where, what for, and along which path (P18 §4).
 
     A rider that does not localize has no pose of its own. Towards a hitchhiker the robot may go up to
-    ``safe_speed_mps``.
+    ``safe_speed_mps``. ``goal`` is where it will stand: a place before its goal where another robot has that. Its way
+    there is ``left_m`` long, where it knows that; ``driver`` is who has driven it on the way.
     """
 
     type = "status"
@@ -39,6 +40,8 @@ class Beacon(Message):
     path: Waypoints = ()
     free_places: Annotated[int, msgspec.Meta(ge=0)] = 0
     safe_speed_mps: Positive = 0.6
+    left_m: NonNegative | None = None
+    driver: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +74,7 @@ class Accept(PoseFields, Message):
     marker_pose: Pose2D  # in the driver's base_footprint
     path: Waypoints = ()
     safe_speed_mps: Positive = 0.6
+    goal: Pose2D | None = None  # where the driver will stand
 
     @property
     def rear_marker(self) -> RearMarker:

@@ -13,7 +13,7 @@ from hitchhike_ros.protocol.inbox import Inbox
 from hitchhike_ros.protocol.outbox import Outbox
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.phase import Phase
-from hitchhike_ros.protocol.reasons import NONE, Ending, Reason
+from hitchhike_ros.protocol.reasons import NONE, Ending
 from hitchhike_ros.protocol.status import Status
 from hitchhike_ros.simulation.grid.body import Body
 from hitchhike_ros.simulation.grid.inbox import ObjectInbox
@@ -49,7 +49,7 @@ class Trip:
 
     @property
     def reached(self) -> bool:
-        return self.reason.reason is Reason.ARRIVED
+        return self.reason.reached
 
 
 @dataclass(eq=False)
@@ -79,7 +79,7 @@ class GridRobot:
     alive: bool = True
     # Of the event loop.
     status: Status = field(default_factory=lambda: Status(0.0, ""))
-    key: tuple[object, object] = (None, None)  # the states of its machines when its status was last asked for
+    key: tuple[object, ...] = ()  # the states of its machines when its status was last asked for
     outbox: Outbox = field(default_factory=Outbox)
     due: float = math.inf  # of its next tick
     beacon_due: float = 0.0
@@ -160,5 +160,5 @@ class GridRobot:
     def wake(self, agent: Agent, inbox: Inbox | ObjectInbox, now: float) -> None:
         """Its computer is on again, and remembers nothing but the map."""
         self.agent, self.inbox, self.outbox = agent, inbox, Outbox()
-        self.alive, self.key = True, (None, None)
+        self.alive, self.key = True, ()
         self.status, self.since = agent.status(now + self.clock_offset_s, others=False), now

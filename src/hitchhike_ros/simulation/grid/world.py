@@ -265,7 +265,7 @@ class GridWorld:
         effects = agent.step(event, local)
         for effect in effects:
             self._carry_out(robot, effect, local)
-        key = (agent.hitchhiker.state, agent.driver.state)
+        key = (agent.hitchhiker.state, agent.driver.state, agent.driver.facts.orders)
         told = isinstance(event, (GoalGiven, GoalCancelled)) or (robot.engaged and isinstance(event, Tick))
         news = told or key != robot.key
         if news:
