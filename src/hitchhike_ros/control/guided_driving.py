@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchhike_ros.control.leg import TOUCHED, Decision, Leg, ProgressCheck, Scene
+from hitchhike_ros.control.leg import Decision, Leg, ProgressCheck, Scene
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.safe_motion import SafeMotion
 from hitchhike_ros.core.datatypes import FloatArray, Twist2D
@@ -25,7 +25,7 @@ class GuidedDriving:
         leg.progress = ProgressCheck(scene.now, scene.pose, scene.now)
         leg.detour, leg.turning = None, False
         if self._motion.touches(scene):
-            return Decision(Twist2D(), "blocked", TOUCHED)
+            return Decision(Twist2D(), "blocked", scene.touched)
         targets = self._targets(scene, wanted)
         safe = self._motion.can_stop(scene, targets)
         chosen = int(np.argmax(safe)) if safe.any() else -1

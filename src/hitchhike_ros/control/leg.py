@@ -32,7 +32,8 @@ class Scene:
     """The robot and what is around it at one step.
 
     ``pose`` is in ``map``, ``field`` in the robot's frame. ``limits`` are those that hold now. ``gentle`` says that a
-    hitchhiker follows. ``clearance_m`` is how far the footprint is from the nearest obstacle, negative in contact.
+    hitchhiker follows. ``clearance_m`` is how far the footprint is from the nearest obstacle, negative in contact;
+    ``touched`` says which obstacle that is then.
     """
 
     now: float
@@ -42,6 +43,7 @@ class Scene:
     limits: RobotLimits
     gentle: bool
     clearance_m: float
+    touched: str = TOUCHED
 
 
 @dataclass

@@ -19,9 +19,10 @@ from dataclasses import replace
 import numpy as np
 
 from hitchhike_ros.control.clearance import ClearanceField
+from hitchhike_ros.control.contact import Contact
 from hitchhike_ros.control.goal_approach import GoalApproach
 from hitchhike_ros.control.guided_driving import GuidedDriving
-from hitchhike_ros.control.leg import TOUCHED, Decision, Leg, ProgressCheck, Scene
+from hitchhike_ros.control.leg import Decision, Leg, ProgressCheck, Scene
 from hitchhike_ros.control.local_planner_parameters import LocalPlannerParameters
 from hitchhike_ros.control.obstacle_memory import ObstacleMemory, scan_points
 from hitchhike_ros.control.path_following import PathFollowing
@@ -63,6 +64,7 @@ class LocalPlanner:
         self._guided_driving = GuidedDriving(params, self._motion)
         self._recovery = Recovery(recovery_steps(params), params.recovery_calm_s)
         self._withdrawal = Withdrawal(params, self._motion, self._drive)
+        self._contact = Contact(self._motion.footprint)
         self._leg: Leg | None = None
 
     def clear(self) -> None:
@@ -133,9 +135,12 @@ class LocalPlanner:
         except SensorDataError as exc:
             decision = Decision(Twist2D(), "blocked", str(exc))
         else:
-            points = self._memory.update(scan, points, pose, T_base_laser)
-            points = np.vstack([points, *(self._outline(pose, *other) for other in others)])
-            decision = self._decide(now, pose, twist, points, speed_limit, gentle, teleop)
+            seen = self._memory.update(scan, points, pose, T_base_laser)
+            outlines = [self._outline(pose, *other) for other in others]
+            sources = [("scan", len(points)), ("earlier scans", len(seen) - len(points))]
+            sources += [("the place that another robot tells", len(outline)) for outline in outlines]
+            points = np.vstack([seen, *outlines])
+            decision = self._decide(now, pose, twist, points, sources, speed_limit, gentle, teleop)
         self._motion.command(decision.twist, now)
         return decision
 
@@ -170,11 +175,15 @@ class LocalPlanner:
         pose: Pose2D,
         twist: Twist2D,
         points: FloatArray,
+        sources: Sequence[tuple[str, int]],
         speed_limit: float,
         gentle: bool,
         teleop: Twist2D | None,
     ) -> Decision:
-        """Which part acts, with obstacle points (N, 2) in the robot's frame."""
+        """Which part acts, with obstacle points (N, 2) in the robot's frame.
+
+        ``sources`` says, in their order, where how many of them come from.
+        """
         leg = self._leg
         if leg is None:
             return Decision(Twist2D(), "blocked", "no path")
@@ -186,7 +195,12 @@ class LocalPlanner:
         limits = self._rider_limits if gentle else self._limits
         limits = replace(limits, max_speed_mps=min(limits.max_speed_mps, speed_limit))
         field = ClearanceField(points)
-        scene = Scene(now, pose, twist, field, limits, gentle, self._motion.clearance_m(field))
+        clearance_m = self._motion.clearance_m(field)
+        scene = Scene(now, pose, twist, field, limits, gentle, clearance_m)
+        if self._motion.touches(scene):
+            scene = replace(scene, touched=self._contact.describe(points, sources))
+        else:
+            self._contact.clear()
         near = distance(pose, leg.goal) <= self._params.guided_ends_m
         if teleop is not None and (not near or teleop == Twist2D()):
             self._start_over()
@@ -204,7 +218,7 @@ class LocalPlanner:
     def _drive(self, scene: Scene, leg: Leg) -> Decision:
         """Along a leg, its goal included."""
         if self._motion.touches(scene):
-            return Decision(Twist2D(), "blocked", TOUCHED)
+            return Decision(Twist2D(), "blocked", scene.touched)
         if leg.progress.stuck:
             return Decision(Twist2D(), "blocked", f"no progress for {self._params.no_progress_s:.0f} s")
         return self._goal_approach.step(scene, leg) or self._path_following.step(scene, leg)

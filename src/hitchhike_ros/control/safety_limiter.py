@@ -32,8 +32,15 @@ _BRAKING = 2.0
 class SafetyLimiter:
     """Keeps the newest scan and limits commands by it; without a fresh scan it lets nothing pass."""
 
-    def __init__(self, limits: RobotLimits, T_base_laser: Pose2D, scan_params: ScanParameters | None = None) -> None:
-        self._limits, self._T_base_laser = limits, T_base_laser
+    def __init__(
+        self,
+        limits: RobotLimits,
+        T_base_laser: Pose2D,
+        scan_params: ScanParameters | None = None,
+        *,
+        upside_down: bool = False,
+    ) -> None:
+        self._limits, self._T_base_laser, self._upside_down = limits, T_base_laser, upside_down
         self._scan_params = scan_params or ScanParameters()
         self._problem = ""  # of the newest scan
         self._arrived = -math.inf
@@ -54,6 +61,7 @@ class SafetyLimiter:
 
     def see(self, scan: LaserScan, now: float) -> bool:
         """Take in the newest scan, which arrives at ``now``; False where it cannot be used, which counts as none."""
+        scan = scan.mirrored() if self._upside_down else scan
         self.bad_share = scan.bad_share()
         try:
             check_scan(scan, self._scan_params.max_bad_share)

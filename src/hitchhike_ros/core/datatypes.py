@@ -6,7 +6,7 @@ Metres, radians and seconds throughout. A ``stamp`` is seconds on the clock of t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import msgspec
@@ -113,6 +113,10 @@ class LaserScan:
         if below.any() or beyond.any():
             ranges = np.where(below, np.float32(np.nan), np.where(beyond, np.float32(np.inf), ranges))
         object.__setattr__(self, "ranges", ranges)
+
+    def mirrored(self) -> LaserScan:
+        """As a laser that is turned over sees it: every bearing with the other sign."""
+        return replace(self, angle_min=-self.angle_min, angle_increment=-self.angle_increment)
 
     def bad_share(self) -> float:
         """Share of the beams that are left out; of a scan without beams all are."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,15 +11,21 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from hitchhike_ros.core.datatypes import FloatArray, Positive
+from hitchhike_ros.core.datatypes import FloatArray, Pose2D, Positive
 from hitchhike_ros.core.errors import RobotModelError
-from hitchhike_ros.core.geometry import matrix_from_xyz_rpy
+from hitchhike_ros.core.geometry import matrix_from_xyz_rpy, pose_from_matrix
 
 _MAX_BYTES = 10_000_000
 # In m, and in rad; beyond it is no robot but a slip.
 _MAX_COORDINATE = 1000.0
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 _NO_XACRO = "a URDF, not the text that xacro makes one of: xacro FILE.xacro > FILE.urdf"
+
+# A laser that leans more meets the floor within its range: from 0.2 m above it, 4 m away. What looks up or down more
+# steeply has no heading. Nothing of an indoor robot is farther from its middle (all chosen).
+_MAX_TILT_RAD, _MAX_ELEVATION_RAD, _FARTHEST_M = math.radians(3.0), math.radians(45.0), 5.0
+# The axis of a link's frame along which it looks; of a marker that is its outward normal.
+_LOOKS_ALONG = {"camera": 0, "camera_optical": 2, "marker": 0}
 
 
 @dataclass(frozen=True)
@@ -157,10 +164,46 @@ def _check_tree(parents: Mapping[str, str], urdf: Path | str) -> None:
 def mount(urdf: Path | str, link: str) -> FloatArray:
     """T_base_link (4, 4) of one link (``laser``, ``camera_optical``, ``marker`` …).
 
+    A laser stands level, upright or upside down, with any yaw. A camera and a marker may be turned about the axis along
+    which they look, and lean; they look less up or down than ahead or aside.
+
     Raises:
-        RobotModelError: the URDF has no such link on fixed joints.
+        RobotModelError: the URDF has no such link on fixed joints, or it sits where nothing can be made of it.
     """
     transforms = fixed_transforms(urdf)
     if link not in transforms:
         raise RobotModelError(urdf, "link", link, f"one of {', '.join(sorted(transforms))}")
-    return transforms[link]
+    T = transforms[link]
+    away = float(np.linalg.norm(T[:3, 3]))
+    if away > _FARTHEST_M:
+        expected = f"within {_FARTHEST_M:g} m of base_footprint: xyz is in metres"
+        raise RobotModelError(urdf, f"mount of link {link}", f"{away:.1f} m away", expected)
+    if link == "laser":
+        tilt = math.acos(min(abs(float(T[2, 2])), 1.0))
+        if tilt > _MAX_TILT_RAD:
+            expected = f"a scan in the floor's plane to {math.degrees(_MAX_TILT_RAD):.0f}°, upright or upside down"
+            raise RobotModelError(urdf, f"tilt of link {link}", f"{math.degrees(tilt):.1f}°", expected)
+    elif link in _LOOKS_ALONG:
+        up = math.asin(max(-1.0, min(1.0, float(T[2, _LOOKS_ALONG[link]]))))
+        if abs(up) > _MAX_ELEVATION_RAD:
+            expected = f"a look no steeper than {math.degrees(_MAX_ELEVATION_RAD):.0f}° up or down"
+            raise RobotModelError(urdf, f"elevation of link {link}", f"{math.degrees(up):.1f}°", expected)
+    return T
+
+
+@dataclass(frozen=True)
+class LaserMount:
+    """Where a laser sits in the plane of ``base_footprint``.
+
+    ``pose`` is that of a laser that stands upright. Where this one is upside down, what it measures is what that one
+    would, of beams that go round the other way (:meth:`.LaserScan.mirrored`). That it may lean by 3° changes no range
+    by more than 0.14 %.
+    """
+
+    pose: Pose2D
+    upside_down: bool
+
+    @classmethod
+    def of(cls, T_base_laser: FloatArray) -> LaserMount:
+        """From the mount (4, 4), which :func:`mount` has found level."""
+        return cls(pose_from_matrix(T_base_laser), bool(T_base_laser[2, 2] < 0.0))

@@ -23,9 +23,9 @@ from hitchhike_ros.control.wall_alignment import WallAlignmentParameters, in_lin
 from hitchhike_ros.control.wheel_watch import WheelWatch
 from hitchhike_ros.core.datatypes import LaserScan, Odometry, Pose2D, PoseEstimate, Positive, Side, Twist2D
 from hitchhike_ros.core.errors import PlanningError, SensorDataError, TeleopError
-from hitchhike_ros.core.geometry import compose, distance, pose_from_matrix, wrap_angle
+from hitchhike_ros.core.geometry import compose, distance, wrap_angle
 from hitchhike_ros.core.pose_buffer import PoseBuffer
-from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.core.robot_model import LaserMount, RobotLimits
 from hitchhike_ros.mapping.laser import ScanParameters, check_scan
 from hitchhike_ros.modules.inputs import NavigationCommand, PlannedPath, TeleopActive, TeleopCommand
 from hitchhike_ros.modules.module import ORDER_MAX_AGE_S, Health, Level, Order, Orders, Outputs, Refused
@@ -79,9 +79,12 @@ class ObstacleAvoidance:
         limits: RobotLimits,
         T_base_laser: Pose2D,
         scan_params: ScanParameters | None = None,
+        *,
+        upside_down: bool = False,
     ) -> None:
         self._params, self._wall_params, self._limits = params, wall_params, limits
         self._T_base_laser, self._scan_params = T_base_laser, scan_params or ScanParameters()
+        self._upside_down = upside_down
         self._local_planner = LocalPlanner(limits, params, self._scan_params)
         self._teleop_authority = TeleopAuthority(teleop_params)
         self._wheels, self._driven = WheelWatch(), Twist2D()  # and what they were told last
@@ -98,13 +101,15 @@ class ObstacleAvoidance:
     @classmethod
     def build(cls, files: RobotFiles) -> ObstacleAvoidance:
         """That of the robot that ``files`` describe."""
+        laser = LaserMount.of(files.mount("laser"))
         return cls(
             files.load(ObstacleAvoidanceParameters, "obstacle_avoidance"),
             files.load(WallAlignmentParameters, "wall_alignment"),
             files.load(TeleopAuthorityParameters, "teleop_authority"),
             files.load(RobotLimits, "robot"),
-            pose_from_matrix(files.mount("laser")),
+            laser.pose,
             files.load(ScanParameters, "scan"),
+            upside_down=laser.upside_down,
         )
 
     def _forget(self, now: float) -> None:
@@ -203,7 +208,7 @@ class ObstacleAvoidance:
             self._refuse(Refused(LaserScan, str(exc), stamp=scan.stamp), now)
             return
         self._decide_by = min(self._decide_by, now + self._params.pose_wait_s)
-        self._scan, self._heard_at = scan, now
+        self._scan, self._heard_at = scan.mirrored() if self._upside_down else scan, now
 
     def _take_odometry(self, odometry: Odometry, now: float) -> None:
         try:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from hitchhike_ros.core.datatypes import FloatArray
-from hitchhike_ros.core.errors import RobotModelError
 from hitchhike_ros.core.parameters import load_parameters
-from hitchhike_ros.core.robot_model import fixed_transforms
+from hitchhike_ros.core.robot_model import fixed_transforms, mount
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 
@@ -50,7 +49,7 @@ class RobotFiles(Protocol):
         """T_base_link (4, 4) of a link.
 
         Raises:
-            RobotModelError: the robot has no such link.
+            RobotModelError: the robot has no such link, or it sits where nothing can be made of it.
         """
 
     def has(self, link: str) -> bool:
@@ -75,10 +74,7 @@ class PlainFiles:
 
     def mount(self, link: str) -> FloatArray:
         """As of :class:`RobotFiles`."""
-        mounts = fixed_transforms(self.urdf)
-        if link not in mounts:
-            raise RobotModelError(self.urdf, "link", link, f"one of {', '.join(sorted(mounts))}")
-        return mounts[link]
+        return mount(self.urdf, link)
 
     def has(self, link: str) -> bool:
         """As of :class:`RobotFiles`."""

@@ -21,7 +21,8 @@ from hitchhike_ros.core.datatypes import (
     UnitInterval,
 )
 from hitchhike_ros.core.errors import HitchhikeError, SensorDataError, StaleInputError
-from hitchhike_ros.core.geometry import compose, inverse, pose_from_matrix
+from hitchhike_ros.core.geometry import compose, inverse
+from hitchhike_ros.core.robot_model import LaserMount
 from hitchhike_ros.localization.ekf import check_gaussian
 from hitchhike_ros.localization.localizer import Localizer, LocalizerParameters
 from hitchhike_ros.localization.methods import Method, make_localizer
@@ -113,6 +114,7 @@ class Slam:
         *,
         alone: bool = False,
         scan_params: ScanParameters | None = None,
+        upside_down: bool = False,
     ) -> None:
         """A module that is off until the status says otherwise; ``alone`` it is on, whatever the status.
 
@@ -121,10 +123,12 @@ class Slam:
             localizer: has no estimate yet.
             mapper: of the same grid.
             grid: the original map.
-            T_base_laser: the laser's mount.
+            T_base_laser: the laser's mount, as if it stood upright.
             alone: whether it works without a status.
             scan_params: which scans are used.
+            upside_down: whether the laser is.
         """
+        self._upside_down = upside_down
         self._scan_params = scan_params or ScanParameters()
         self._bad_share = 0.0  # of the newest scan's beams
         self._params, self._localizer, self._mapper = params, localizer, mapper
@@ -164,12 +168,21 @@ class Slam:
         params = files.load(SlamParameters, "slam")
         localization = files.load(LocalizerParameters, "localization")
         mapping = files.load(MappingParameters, "mapping")
-        markers, T_base_laser = files.sites.markers, pose_from_matrix(files.mount("laser"))
+        markers, laser = files.sites.markers, LaserMount.of(files.mount("laser"))
         grid = files.grid  # last, as it may have to be awaited
-        localizer = make_localizer(method, grid, markers, localization, T_base_laser)
+        localizer = make_localizer(method, grid, markers, localization, laser.pose)
         scan_params = files.load(ScanParameters, "scan")
         mapper = NewObstacleMapper(grid, mapping)
-        return cls(params, localizer, mapper, grid, T_base_laser, alone=alone, scan_params=scan_params)
+        return cls(
+            params,
+            localizer,
+            mapper,
+            grid,
+            laser.pose,
+            alone=alone,
+            scan_params=scan_params,
+            upside_down=laser.upside_down,
+        )
 
     # What arrives.
 
@@ -267,7 +280,7 @@ class Slam:
                 self._see(x)
             case LaserScan() if self._on:
                 self._scanned_at, said["answered"], self._bad_share = now, x.stamp, x.bad_share()
-                self._work_on(x, now, said)
+                self._work_on(x.mirrored() if self._upside_down else x, now, said)
                 if self._T_map_odom is not None:
                     said["T_map_odom"] = x.stamp + self._params.transform_tolerance_s, self._T_map_odom
             case Refused() if self._on or x.what in _ALWAYS:

@@ -28,9 +28,8 @@ from hitchhike_ros.core.datatypes import (
     Twist2D,
 )
 from hitchhike_ros.core.errors import ParameterError, SensorDataError, StaleInputError, VisionError
-from hitchhike_ros.core.geometry import pose_from_matrix
 from hitchhike_ros.core.parameters import convert
-from hitchhike_ros.core.robot_model import RobotLimits
+from hitchhike_ros.core.robot_model import LaserMount, RobotLimits
 from hitchhike_ros.mapping.laser import ScanParameters
 from hitchhike_ros.modules.inputs import CameraImage, ServoingCommand
 from hitchhike_ros.modules.module import Health, Level, Order, Orders, Outputs, Refused
@@ -196,7 +195,8 @@ class VisualServoing:
             law = FollowLaw(files.load(FollowParameters, "follow"), limits, x, y, yaw)
             if files.has("laser"):
                 scan_params = files.load(ScanParameters, "scan")
-                limiter = SafetyLimiter(limits, pose_from_matrix(files.mount("laser")), scan_params)
+                laser = LaserMount.of(files.mount("laser"))
+                limiter = SafetyLimiter(limits, laser.pose, scan_params, upside_down=laser.upside_down)
         params = files.load(VisualServoingParameters, "visual_servoing")
         order = None if alone is None else _standing_order({} if unusable else alone, where, follows=follows)
         return cls(params, tracker, T_base_camera, law, limiter, alone=order, unusable=unusable)

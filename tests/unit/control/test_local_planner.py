@@ -448,6 +448,16 @@ def test_what_was_near_before_a_beam_went_bad_is_still_there(value: float) -> No
         assert planner.step(**still(scan=scan, now=stamp + 0.1)).twist.v <= 0.0
 
 
+def test_what_touches_the_footprint_is_named() -> None:
+    planner, one = controller(), np.full(400, np.inf)
+    one[int(2.0 / 0.01) + 157] = -math.inf  # to the left of the laser, which is 0.17 m ahead of the middle
+    decision = planner.step(**still(scan=ranges(one)))
+    assert decision.state == "blocked"
+    assert decision.reason.startswith("an obstacle touches the footprint at 7°, 0.17 m from its middle (scan)")
+    far = [(Pose2D(0.0, 3.0), 0.2)]
+    assert planner.step(**still(scan=ranges(np.full(400, np.inf)), others=far)).state == "driving"
+
+
 @pytest.mark.parametrize("value", [math.nan, 0.0, 0.019, -1.0])
 def test_beams_that_are_bad_from_the_start_are_no_obstacle(value: float) -> None:
     """Lasers that send 0.0 for no return once pinned the robot for ever."""

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hitchhike_ros.core.datatypes import LaserScan, Pose2D
 from hitchhike_ros.core.errors import RobotModelError
-from hitchhike_ros.core.robot_model import RobotLimits, fixed_transforms, mount
+from hitchhike_ros.core.geometry import matrix_from_xyz_rpy, transform_points
+from hitchhike_ros.core.robot_model import LaserMount, RobotLimits, fixed_transforms, mount
 
 URDF = """<robot name="r">
   <link name="base_footprint"/><link name="base_link"/><link name="mast"/><link name="camera"/><link name="wheel"/>
@@ -172,3 +174,110 @@ def test_radii_of_a_rectangular_footprint() -> None:
 def test_radii_of_a_round_footprint() -> None:
     limits = RobotLimits(0.23, 0.035, 0.18, 0.18, 0.18, max_speed_mps=0.7, max_yaw_rate_rps=math.pi, radius_m=0.176)
     assert limits.inscribed_m == limits.circumscribed_m == 0.176
+
+
+# Mounts.
+
+PI = math.pi
+
+
+def described(folder: Path, link: str, rpy: str, xyz: str = "0.1 -0.05 0.2") -> Path:
+    """A robot with one more link."""
+    path = folder / "described.urdf"
+    path.write_text(
+        f'''<robot name="r"><link name="base_footprint"/><link name="{link}"/>
+        <joint name="j" type="fixed"><parent link="base_footprint"/><child link="{link}"/>
+        <origin xyz="{xyz}" rpy="{rpy}"/></joint></robot>''',
+        encoding="utf-8",
+    )
+    return path
+
+
+@pytest.mark.parametrize("roll", [0.0, PI, -PI, 0.03, PI - 0.03])
+@pytest.mark.parametrize("pitch", [0.0, 0.03, PI])
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, PI])
+def test_a_scan_is_projected_into_the_plane_of_the_base(tmp_path: Path, roll: float, pitch: float, yaw: float) -> None:
+    """A laser that hangs upside down was once taken for an upright one, and left for right."""
+    T = mount(described(tmp_path, "laser", f"{roll} {pitch} {yaw}"), "laser")
+    laser = LaserMount.of(T)
+    scan = LaserScan(0.0, -0.75 * PI, 0.05, 0.02, 8.0, np.linspace(0.5, 7.0, 95))
+    angles, ranges = scan.angles(), scan.ranges.astype(float)
+    beams = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), 0.0 * angles, np.ones(95)])
+    truth = (T @ beams)[:2].T
+    upright = scan.mirrored() if laser.upside_down else scan
+    angles, ranges = upright.angles(), upright.ranges.astype(float)
+    found = transform_points(laser.pose, np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1))
+    found = found[::-1] if laser.upside_down else found
+    assert laser.upside_down == (T[2, 2] < 0.0)
+    assert np.hypot(*(found - truth).T).max() < 0.002 * 7.0
+    if max(min(abs(a), abs(PI - abs(a))) for a in (roll, pitch)) < 1e-9:
+        assert np.hypot(*(found - truth).T).max() < 1e-5
+
+
+def test_a_scan_that_is_mirrored_twice_is_the_same() -> None:
+    scan = LaserScan(1.0, -0.5, 0.25, 0.02, 8.0, np.array([1.0, np.nan, np.inf, -np.inf, 0.3]))
+    once = scan.mirrored()
+    np.testing.assert_allclose(once.angles(), [-0.5, -0.25, 0.0, 0.25, 0.5])
+    np.testing.assert_array_equal(once.ranges, scan.ranges[::-1])
+    twice = once.mirrored()
+    np.testing.assert_array_equal(twice.ranges, scan.ranges)
+    assert twice.angle_min == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize(
+    ("link", "rpy", "value"),
+    [
+        ("laser", "0 0.06 0", "3.4°"),
+        ("laser", "0.3 0 0", "17.2°"),
+        ("laser", "3.0 0 1", "8.1°"),
+        ("laser", "0 1.5707963 0", "90.0°"),
+        ("laser", "1.5707963 0 0.4", "90.0°"),
+        ("marker", "0 1.5707963 0", "-90.0°"),
+        ("marker", "2 -1.0 0", "57.3°"),
+        ("camera", "0 0.9 0", "-51.6°"),
+        ("camera_optical", "0 0 0", "90.0°"),  # the optical frame forgotten: it would look at the ceiling
+        ("camera_optical", "3.14159 0 0", "-90.0°"),
+    ],
+)
+def test_a_mount_of_which_nothing_can_be_made_is_refused(tmp_path: Path, link: str, rpy: str, value: str) -> None:
+    path = described(tmp_path, link, rpy)
+    with pytest.raises(RobotModelError) as caught:
+        mount(path, link)
+    error = caught.value
+    assert (error.file, error.value) == (str(path), value)
+    assert link in error.field
+    assert "expected" in str(error)
+
+
+@pytest.mark.parametrize("link", ["laser", "camera_optical", "marker", "depth_camera_optical"])
+def test_a_mount_that_is_far_from_the_robot_is_refused(tmp_path: Path, link: str) -> None:
+    """Millimetres for metres."""
+    rpy, xyz = "0 0 0", "120 0 200"
+    with pytest.raises(RobotModelError, match=rf"mount of link {link} is"):
+        mount(described(tmp_path, link, rpy, xyz), link)
+
+
+@pytest.mark.parametrize(
+    ("link", "rpy"),
+    [
+        ("marker", "0 0 3.14159265"),
+        ("marker", "3.14159265 0 3.14159265"),
+        ("marker", "1.5707963 0.3 3.0"),
+        ("camera", "3.14159265 0 0"),
+        ("camera", "0.2 0.6 0.1"),
+        ("camera_optical", "-1.57079633 0 -1.57079633"),
+        ("camera_optical", "1.57079633 0 -1.57079633"),
+        ("camera_optical", "-2.1 0 -1.57079633"),
+        ("depth_camera_optical", "3.14159 0 0"),
+        ("mast", "0 1.57 0"),
+    ],
+)
+def test_what_looks_about_level_may_be_turned_and_lean(tmp_path: Path, link: str, rpy: str) -> None:
+    T = mount(described(tmp_path, link, rpy), link)
+    roll, pitch, yaw = map(float, rpy.split())
+    np.testing.assert_allclose(T, matrix_from_xyz_rpy((0.1, -0.05, 0.2), (roll, pitch, yaw)))
+
+
+def test_a_laser_at_yaw_stays_where_it_is() -> None:
+    laser = LaserMount.of(matrix_from_xyz_rpy((0.2, 0.1, 0.3), (0.0, 0.0, 0.5)))
+    assert laser == LaserMount(Pose2D(0.2, 0.1, pytest.approx(0.5)), upside_down=False)

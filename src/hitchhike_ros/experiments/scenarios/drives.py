@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from hitchhike_ros.core.datatypes import FloatArray, LaserScan, Marker, Odometry, Pose2D, Twist2D
-from hitchhike_ros.core.geometry import distance, pose_from_matrix, wrap_angle
+from hitchhike_ros.core.geometry import distance, wrap_angle
 from hitchhike_ros.core.parameters import load_parameters
-from hitchhike_ros.core.robot_model import RobotLimits, mount
+from hitchhike_ros.core.robot_model import LaserMount, RobotLimits, mount
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
 from hitchhike_ros.simulation.physics.drive import OdometryParameters, WheelOdometry
@@ -66,6 +66,7 @@ class Drive:
     config: Path
     steps: tuple[Step, ...]
     arrived: bool
+    upside_down: bool = False
 
     def moments(self, seed: int) -> Iterator[Moment]:
         """The drive as the robot's sensors report it, with noise of one seed."""
@@ -78,7 +79,8 @@ class Drive:
             readings = [encoders.update(stamp, angles) for stamp, angles in step.wheels]
             every = max(len(readings) // ODOMETRY_PER_SCAN, 1)
             reported = tuple(readings[every - 1 :: every])
-            yield Moment(reported, as_scan(step.distances, step.stamp, laser, laser_rng), step.pose)
+            scan = as_scan(step.distances, step.stamp, laser, laser_rng)
+            yield Moment(reported, scan.mirrored() if self.upside_down else scan, step.pose)
 
 
 def plan_route(file: WorldFile, grid: OccupancyGrid, robot: str, package: Path) -> FloatArray:
@@ -111,10 +113,10 @@ def record(file: WorldFile, robot: str, package: Path, limit_s: float = 300.0) -
         route = plan_route(world.file, world.grid, robot, package)
         urdf, config = robot_files(file.robots[robot].model, package)
         steps = tuple(_steps(world, world.robots[robot], route, limit_s))
-        T_base_laser = pose_from_matrix(mount(urdf, "laser"))
+        mounted = LaserMount.of(mount(urdf, "laser"))
         end = Pose2D(*route[-1].tolist())
         arrived = not world.contacts() and distance(steps[-1].pose, end) < _ARRIVED_M
-        return Drive(world.grid, tuple(file.sites.markers), T_base_laser, config, steps, arrived)
+        return Drive(world.grid, tuple(file.sites.markers), mounted.pose, config, steps, arrived, mounted.upside_down)
 
 
 def _steps(world: World, robot: SimulatedRobot, route: FloatArray, limit_s: float) -> Iterator[Step]:
