@@ -132,6 +132,27 @@ class Polyline:
             ax, ay, arc, k = bx, by, to, k + 1
         return nearest, distance
 
+    def passes(self, x: float, y: float, within_m: float, first: float = -math.inf) -> list[float]:
+        """Arc lengths from ``first`` on at which the path passes (x, y), in their order.
+
+        That is where it comes nearest each time that it comes within ``within_m``.
+        """
+        found, arc = list[tuple[float, float]](), max(first, self.start_m)
+        pieces = [*(s for s, _, _ in self.corners(arc, self.end_m)), self.end_m]
+        leaves_m = -math.inf  # until there it has been within reach since it came nearest
+        for end in pieces:
+            nearest, away = self.project(x, y, arc, end)
+            if away <= within_m:
+                if found and leaves_m >= arc:
+                    if away < found[-1][1]:
+                        found[-1] = nearest, away
+                else:
+                    found.append((nearest, away))
+                if math.dist(self.point(end), (x, y)) <= within_m:
+                    leaves_m = end
+            arc = end
+        return [nearest for nearest, _ in found]
+
     # Many places at once.
 
     def at(self, s: FloatArray) -> FloatArray:

@@ -136,7 +136,7 @@ class HitchhikeComm:
         limits = files.load(RobotLimits, "robot")
         return cls(
             files.robot_id,
-            files.load(HitchhikingParameters, "hitchhiking"),
+            files.load(HitchhikingParameters, "hitchhiking").within(limits.max_speed_mps),
             files.sites,
             GlobalPlanner(files.load(GlobalPlannerParameters, "global_planner"), limits),
             marker_pose=pose_from_matrix(files.mount("marker")),

@@ -22,7 +22,7 @@ from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Effect, GoalCancelled, GoalGiven, Report, Send, Situation, Tick
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
-from hitchhike_ros.protocol.matching import Boardings, Planner, solo_metres
+from hitchhike_ros.protocol.matching import Planner, shared_stretch, solo_metres, way_of
 from hitchhike_ros.protocol.messages import Beacon, Message, RearMarker, Request
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY, HitchhikingParameters
@@ -197,7 +197,14 @@ class Agent:
 
     def _new_hitchhiker(self) -> HitchhikerMachine:
         return HitchhikerMachine(
-            self.robot_id, self.params, self._sites, self._camera, self._rear_marker, self.neighbours, self._metres
+            self.robot_id,
+            self.params,
+            self._sites,
+            self._camera,
+            self._rear_marker,
+            self.neighbours,
+            self._metres,
+            self._planner,
         )
 
     def _set_out_for(self, goal: Pose2D, now: float) -> list[Effect]:
@@ -296,11 +303,11 @@ class Agent:
         if max(own.priority, request.priority) >= TIME_CRITICAL_PRIORITY or now < self._reversed_at + own.patience_s:
             return False
         try:
-            path = OwnPath(self._planner(request.pose, request.goal))
+            theirs, way = OwnPath(way_of(request, self._planner)), self._planner(here.pose, goal)
         except PlanningError:
-            return False  # then it goes nowhere
+            return False  # then one of them goes nowhere
         self._reversed_at = now  # it does not look at that again for a while
-        return Boardings(path, self._sites, own).serve(goal)
+        return shared_stretch(theirs, way, self._sites, own) is not None
 
     def _reverse_roles(self, request: Request, now: float) -> list[Effect]:
         """It asks that one alone, and gives it the time to give up its own question."""

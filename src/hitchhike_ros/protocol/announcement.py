@@ -11,25 +11,27 @@ import numpy as np
 from hitchhike_ros.core.datatypes import FloatArray, Pose2D
 from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.planning.announced import AnnouncedDriver
-from hitchhike_ros.protocol.messages import Waypoint, Waypoints
+from hitchhike_ros.protocol.messages import MOST_PATH_POINTS, PathPoints, Waypoint, Waypoints
 
 # A simplified path is nowhere farther from the plan (chosen: less than a place in a corridor matters).
 _SIMPLIFY_M = 0.15
+# A hitchhiker's path, which others compare with theirs, is simplified by this at least (chosen: a cell of a map).
+_COMPARED_M = 0.05
+# So much coarser at a time, until the path has few enough points (chosen).
+_COARSER = 1.5
 # Farther from its plan a robot is on another way (chosen).
-_ASTRAY_M = 1.5
+ASTRAY_M = 1.5
 # A ride may end at nodes of the path, which are no farther apart (chosen).
 NODES_M = 2.5
 
 
 class OwnPath:
-    """A plan, simplified to ``line``, and how far along it the robot has come: ``come_m``."""
+    """A ``plan`` (N, 2), simplified to ``line``, and how far along that the robot has come: ``come_m``."""
 
     def __init__(self, path: FloatArray) -> None:
         """``path`` (N, 2) in m in ``map``, N >= 1."""
-        points = np.asarray(path, dtype=float)
-        kept = cv2.approxPolyDP(points.astype(np.float32)[:, None], _SIMPLIFY_M, False)[:, 0].astype(float)
-        kept[0], kept[-1] = points[0], points[-1]
-        self.line = Polyline(kept)
+        self.plan = np.asarray(path, dtype=float)
+        self.line = Polyline(_simplified(self.plan, _SIMPLIFY_M))
         self.come_m = 0.0
 
     @property
@@ -40,7 +42,7 @@ class OwnPath:
     def advance(self, pose: Pose2D) -> bool:
         """The robot is at ``pose``; False where that is not on the path ahead."""
         arc, away = self.line.project(pose.x, pose.y, self.come_m)
-        if away > _ASTRAY_M:
+        if away > ASTRAY_M:
             return False
         self.come_m = arc
         return True
@@ -57,6 +59,26 @@ class OwnPath:
             return ()
         times = in_s + (ahead.arcs - ahead.start_m) / speed_mps
         return tuple(zip(*ahead.points.T.tolist(), times.tolist(), strict=True))
+
+
+def asked_path(plan: FloatArray) -> PathPoints:
+    """A ``plan`` (N, 2) as a request tells it: as near to the plan as the number of points allows."""
+    tolerance_m = _COMPARED_M
+    points = np.asarray(plan, dtype=float)
+    kept = _simplified(points, tolerance_m)
+    while len(kept) > MOST_PATH_POINTS:
+        tolerance_m *= _COARSER
+        kept = _simplified(points, tolerance_m)
+    return tuple((x, y) for x, y in kept.tolist())
+
+
+def _simplified(points: FloatArray, tolerance_m: float) -> FloatArray:
+    """Those of the points (N, 2) that keep the path within ``tolerance_m``, both ends included (Douglas-Peucker)."""
+    origin = points[0]  # single precision is fine near it
+    shifted = (points - origin).astype(np.float32)[:, None]
+    kept = cv2.approxPolyDP(shifted, tolerance_m, False)[:, 0].astype(float) + origin
+    kept[0], kept[-1] = points[0], points[-1]
+    return np.asarray(kept)
 
 
 def announced_driver(

@@ -11,6 +11,7 @@ import numpy as np
 from hitchhike_ros.core.datatypes import FloatArray, HitchhikingPoint, Pose2D
 from hitchhike_ros.core.errors import ItineraryInputError, PlanningError, UnreachableError
 from hitchhike_ros.core.geometry import compose, distance, path_length
+from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, usable_drivers
 from hitchhike_ros.planning.itinerary import (
@@ -21,8 +22,9 @@ from hitchhike_ros.planning.itinerary import (
     SoloMetres,
     plan_itinerary,
 )
+from hitchhike_ros.planning.overlap import common_path
 from hitchhike_ros.protocol.announcement import OwnPath, announced_driver
-from hitchhike_ros.protocol.messages import Accept
+from hitchhike_ros.protocol.messages import Accept, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters, Policy
 
 Planner = Callable[[Pose2D, Pose2D], FloatArray]
@@ -31,9 +33,12 @@ Planner = Callable[[Pose2D, Pose2D], FloatArray]
 _ROOM_M = 0.4
 # Who passes a hitchhiking point by so much goes there (chosen: half the width of a wide corridor).
 _SITE_M = 1.5
-# A ride takes its rider nearer to its goal by this much of its length, as the crow flies (chosen: it is a quarter on
-# the first side of an L whose second is twice as long, and a third in P18 Experiment 3).
-_LEAST_PROGRESS = 0.2
+# Two ways through one corridor are no farther apart than it is wide: who boards changes the lane.
+_LANES_M = 2.0 * _SITE_M
+# A place so near to a corner is at it (chosen).
+_CORNER_M = 0.1
+# So far beside its path a place is on it: a hitchhiking point, or where one stands there.
+_TOLERANCE_M = _SITE_M + _ROOM_M
 
 
 @dataclass(frozen=True)
@@ -70,29 +75,74 @@ def solo_metres(planner: Planner) -> SoloMetres:
     return metres
 
 
-class Boardings:
-    """Where one may board along a path, and what rides can be had there: the quick answer to a question from afar."""
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The part of a driver's path that a ride follows: what is told of it, ridden and paid for. Its length is fixed.
 
-    def __init__(self, path: OwnPath, sites: Sites, params: HitchhikingParameters) -> None:
-        self._path, self._params = path, params
-        self._nodes, self._arcs = path.nodes()
-        if params.board_anywhere:
-            self._at = self._arcs
-            return
+    It is between the arc lengths ``begin_m`` and ``end_m`` of ``line``, the driver's path.
+    """
+
+    line: Polyline
+    begin_m: float
+    end_m: float
+
+    @property
+    def length_m(self) -> float:
+        return self.end_m - self.begin_m
+
+    @property
+    def end(self) -> Pose2D:
+        """Where the driver stops, looking along its path."""
+        return self.line.pose(self.end_m)
+
+
+def way_of(request: Request, planner: Planner) -> FloatArray:
+    """The way (N, 2) of the hitchhiker to its goal, Q_h: as it says, or by ``planner`` where it does not.
+
+    Raises:
+        PlanningError: it says none, and none is found.
+    """
+    if len(request.path) > 1:
+        way, goal = Polyline(request.path), request.goal
+        begins = way.project(request.x, request.y)[1] <= _SITE_M
+        if begins and math.dist(request.path[-1], (goal.x, goal.y)) <= _SITE_M:
+            return np.array(request.path)
+    return planner(request.pose, request.goal)  # nor is a path believed that leads elsewhere
+
+
+def shared_stretch(path: OwnPath, way: FloatArray, sites: Sites, params: HitchhikingParameters) -> Stretch | None:
+    """What a driver can offer to a robot with the given ``way`` (N, 2): from the first place ahead to the last on both.
+
+    None where both ways share less than T_dhh from there on (P18 Algorithm 2). One boards at any of those places, or at
+    the hitchhiking points that the path passes.
+    """
+    boards_at = [path.come_m]
+    if not params.board_anywhere:
         places = _places(sites)
         arcs, away = path.line.project_all(places[:, :2])
         passed = [(arcs[k], places[k, 2]) for k in np.flatnonzero(away <= _SITE_M).tolist()]
-        self._at = np.array([arc for arc, theta in passed if math.cos(path.line.pose(arc).theta - theta) > 0.0])
+        ahead = [arc for arc, theta in passed if arc >= path.come_m - _SITE_M and _leads(path.line, arc, theta)]
+        if not ahead:
+            return None
+        boards_at = [max(min(ahead), path.come_m)]
+    return shared_from(path, boards_at[0], way, max(_LANES_M, params.overlap_tolerance_m), params.min_ride_m)
 
-    def serve(self, goal: Pose2D) -> bool:
-        """Whether a ride longer than T_dhh, from where the robot is on, takes one nearer to ``goal``."""
-        begin = self._at[self._at >= self._path.come_m - _SITE_M]
-        if not len(begin):
-            return False
-        to_go = np.hypot(self._nodes[:, 0] - goal.x, self._nodes[:, 1] - goal.y)
-        metres = self._arcs - begin[:, None]
-        nearer = np.interp(begin, self._arcs, to_go)[:, None] - to_go
-        return bool(((metres > self._params.min_ride_m) & (nearer > _LEAST_PROGRESS * metres)).any())
+
+def shared_from(
+    path: OwnPath, first_m: float, way: FloatArray, tolerance_m: float, min_ride_m: float
+) -> Stretch | None:
+    """From the first place ahead of ``first_m`` to the last that ``way`` (N, 2) passes too; as :func:`common_path`.
+
+    None where they share less than T_dhh.
+    """
+    # The plan is longer than the line to which it is simplified.
+    plan_from_m, _ = Polyline(path.plan).project(*path.line.point(first_m))
+    shared = common_path(path.plan, way, tolerance_m, from_a_m=plan_from_m)
+    if shared.nearest is None or shared.farthest is None or shared.length_m < min_ride_m:
+        return None
+    begin_m, _ = path.line.project(shared.nearest.x, shared.nearest.y, first_m)
+    end_m, _ = path.line.project(shared.farthest.x, shared.farthest.y, begin_m)
+    return Stretch(path.line, begin_m, end_m)
 
 
 def choose(
@@ -134,20 +184,37 @@ def choose(
     return _meeting(best, offers, sites, params, now)
 
 
-def stretch(driver: OwnPath, aligning: Pose2D, leave: tuple[float, float]) -> tuple[float, float]:
-    """Where along the driver's path a ride from ``aligning`` to ``leave`` begins and ends, in m.
+def agreed_stretch(
+    driver: OwnPath, aligning: Pose2D, waiting: Pose2D, leave: tuple[float, float], ride_m: float = 0.0
+) -> Stretch:
+    """The ride along the driver's path from ``aligning`` to ``leave``.
+
+    A path may pass either place more than once. Of the places ahead those count that are as far apart as the
+    hitchhiker says, ``ride_m`` from where it waits; where it does not say, the first.
 
     Raises:
         ItineraryInputError: either is not on the path ahead, or the path goes another way there; it names which.
     """
-    tolerance = _SITE_M + _ROOM_M
-    begin_m, away = driver.line.project(aligning.x, aligning.y, driver.come_m)
-    if away > tolerance or math.cos(driver.line.pose(begin_m).theta - aligning.theta) <= 0.0:
+    begins = [
+        arc
+        for arc in driver.line.passes(aligning.x, aligning.y, _TOLERANCE_M, driver.come_m)
+        if _leads(driver.line, arc, aligning.theta)
+    ]
+    if not begins:
         raise ItineraryInputError("driver", "aligning", aligning, "a place on its path, heading along it")
-    end_m, away = driver.line.project(*leave, begin_m)
-    if away > tolerance:
+    rides = [(begin, end) for begin in begins for end in driver.line.passes(*leave, _TOLERANCE_M, begin)]
+    if not rides:
         raise ItineraryInputError("driver", "leave", leave, "a place on its path")
-    return begin_m, end_m
+    begin_m, end_m = rides[0]
+    if ride_m > 0.0:
+        told_m = ride_m - distance(waiting, aligning)
+        begin_m, end_m = min(rides, key=lambda ride: abs(ride[1] - ride[0] - told_m))
+    return Stretch(driver.line, begin_m, end_m)
+
+
+def _leads(line: Polyline, arc: float, theta: float) -> bool:
+    """Whether a path comes by or goes on, at a corner either will do, within 90° of a heading."""
+    return any(math.cos(line.pose(s).theta - theta) > 1e-6 for s in (arc - _CORNER_M, arc + _CORNER_M))
 
 
 def _with(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import msgspec
 import numpy as np
@@ -81,13 +81,22 @@ class HitchhikingParameters:
     standstill_rps: Positive = 0.05  # at 0.5 s between messages, 1.4 degrees
     cruise_speed_mps: Positive = 0.6
     ride_speed_mps: Positive = 0.6
-    safe_speed_mps: Positive = 1.0  # the most of a driver on its way to a hitchhiker (velocity tuning, P18 §8.1.3)
+    safe_speed_mps: Positive = 1.0  # most of a driver towards a hitchhiker (velocity tuning, P18 §8.1.3), if it can
     overlap_tolerance_m: Positive = 0.3  # two plans that go the same way rarely share their cells
     handover: Literal["paper", "measured"] = "measured"
     mounting_sigma_m: NonNegative = 0.001  # how well one knows where camera and rear marker are mounted (chosen)
     mounting_sigma_rad: NonNegative = 0.002
     marker_id: int = 0  # of the own rear marker
     marker_size_m: Positive = 0.16
+
+    def within(self, max_speed_mps: float) -> Self:
+        """The same of a robot that goes no faster: what it tells others of its speeds, it keeps."""
+        return replace(
+            self,
+            cruise_speed_mps=min(self.cruise_speed_mps, max_speed_mps),
+            ride_speed_mps=min(self.ride_speed_mps, max_speed_mps),
+            safe_speed_mps=min(self.safe_speed_mps, max_speed_mps),
+        )
 
     @property
     def patience_s(self) -> float:

@@ -23,6 +23,7 @@ class Reason(Enum):
     HIGH_PRIORITY = "High priority"
     ALREADY_DRIVING = "Already carrying a hitchhiker"
     NO_DRIVER = "Does not drive others"
+    DRIVES_NOWHERE = "Drives nowhere"
     NOT_OFFERED = "No such offer"
 
     # A driver ends a ride, or waits.

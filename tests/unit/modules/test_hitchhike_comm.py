@@ -11,6 +11,7 @@ import pytest
 from flat_world import TURTLEBOT
 from hitchhike_ros.core.datatypes import Odometry, Pose2D, PoseEstimate, Twist2D
 from hitchhike_ros.core.geometry import move
+from hitchhike_ros.core.robot_model import RobotLimits
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.modules.hitchhike_comm import HitchhikeComm, HitchhikeCommOutputs, Outcome
 from hitchhike_ros.modules.inputs import NetworkText, PlanReport
@@ -225,6 +226,32 @@ def test_a_driver_that_tells_no_twist_is_named_once_and_the_speed_is_that_of_its
         warnings += module.step(10.0 + 0.1 * k).warnings
     assert warnings == ["odom: no twist in it though the pose moves; it is derived from the poses"]
     assert module._situation(10.7).speed_mps == pytest.approx(0.4)
+
+
+def test_a_robot_tells_of_no_speed_that_it_cannot_go() -> None:
+    class Files:
+        robot_id, sites, first_seq = "turtlebot", SITES, 1000
+
+        def load(self, cls: type, section: str) -> object:
+            return {RobotLimits: TURTLEBOT, HitchhikingParameters: HitchhikingParameters(**fast)}.get(cls) or cls()
+
+        def mount(self, link: str) -> np.ndarray:
+            return np.eye(4)
+
+    fast = {"safe_speed_mps": 3.0, "cruise_speed_mps": 2.0, "ride_speed_mps": 1.9, "may_ride": False, "mode": "network"}
+    module = HitchhikeComm.build(Files())  # type: ignore[arg-type]
+    for what in (GRID, estimate(10.0)):
+        module.sense(what, 10.0)
+    module.step(10.0)
+    module.order(GoalGiven(FAR), 10.5)
+    module.sense(estimate(11.5), 11.5)
+    module.step(11.5)
+    module.sense(estimate(13.0), 13.0)
+    (beacon,) = sent(module.step(13.0), Beacon)
+    most_mps = TURTLEBOT.max_speed_mps
+    assert beacon.safe_speed_mps == most_mps < 1.0
+    (x0, _, t0), *_, (x1, _, t1) = beacon.path
+    assert (x1 - x0) / (t1 - t0) == pytest.approx(most_mps)
 
 
 def test_without_a_map_its_health_says_so() -> None:

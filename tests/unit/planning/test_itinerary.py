@@ -17,7 +17,7 @@ from hitchhike_ros.experiments.bench.itineraries import along_corridors, buildin
 from hitchhike_ros.experiments.bench.itinerary_reference import cheapest
 from hitchhike_ros.planning.announced import AnnouncedDriver, RideRules, possible_rides, usable_drivers
 from hitchhike_ros.planning.itinerary import ItineraryCosts, ItineraryParameters, ItineraryRequest, plan_itinerary
-from hitchhike_ros.planning.overlap import common_stretch
+from hitchhike_ros.planning.overlap import common_path
 
 RULES = RideRules()
 ANYWHERE = ItineraryParameters(RideRules(board_anywhere=True))
@@ -101,7 +101,7 @@ def test_partial_ride_boards_at_h(parameters):
     assert ride.start == h
     assert ride.metres == pytest.approx(35.6)
     assert ride.driver_wait_s == pytest.approx((28.8 - 20.0) / 0.5)  # it is there first
-    shared = common_stretch(own_path, its_path, tolerance_m=0.3)
+    shared = common_path(own_path, its_path, tolerance_m=0.3)
     assert ride.start == pytest.approx((shared.nearest.x, shared.nearest.y), abs=0.6)
     assert ride.end == pytest.approx((shared.farthest.x, shared.farthest.y), abs=1e-9)
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.protocol.agent import Agent
 from hitchhike_ros.protocol.driver.convoy import Convoy, Offer, Rider
 from hitchhike_ros.protocol.driver.states import DriverState
 from hitchhike_ros.protocol.events import Effect, GoalGiven, Report, Situation, Tick
 from hitchhike_ros.protocol.hitchhiker.ride import Ride
+from hitchhike_ros.protocol.matching import Stretch
 from hitchhike_ros.protocol.messages import Accept, Ack, Deny, Driver, Lock, RearMarker, Request, Terminate
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.reasons import Reason
@@ -112,7 +114,10 @@ def test_one_bad_report_of_navigation_gives_nothing_up(state: DriverState, repor
 def test_a_rider_that_has_not_said_what_it_sees_is_about_a_metre_behind_the_robot_ahead() -> None:
     convoy = Convoy(replace(REAR_MARKER, marker_id=0))
     riders = [
-        Rider(Offer(name, name, WEST, 20.0, Pose2D()), replace(REAR_MARKER, marker_id=k))
+        Rider(
+            Offer(name, name, WEST, Stretch(Polyline([(3.0, 5.72), (23.0, 5.72)]), 0.0, 20.0)),
+            replace(REAR_MARKER, marker_id=k),
+        )
         for k, name in ((1, "a"), (2, "b"))
     ]
     for rider in riders:

@@ -53,7 +53,7 @@ def _walled(_start: Pose2D, _goal: Pose2D) -> FloatArray:
         ({}, {"goal": Pose2D(20.0, 5.72)}, None, DRIVER_GOAL, corridor_path, str(Reason.PATH_TOO_SHORT)),
         ({}, {}, None, Pose2D(22.0, 5.72), corridor_path, str(Reason.PATH_TOO_SHORT)),
         ({}, {"goal": Pose2D(-25.0, 5.72)}, None, DRIVER_GOAL, corridor_path, str(Reason.PATH_TOO_SHORT)),
-        ({}, {}, None, None, corridor_path, str(Reason.PATH_TOO_SHORT)),
+        ({}, {}, None, None, corridor_path, str(Reason.DRIVES_NOWHERE)),
         ({}, {}, None, DRIVER_GOAL, _walled, str(Reason.PATH_TOO_SHORT)),
         ({"profile": 58.0}, {"profile": 90.0}, None, DRIVER_GOAL, corridor_path, str(Reason.PROFILE_MISMATCH)),
         ({"priority": 16}, {}, None, DRIVER_GOAL, corridor_path, str(Reason.HIGH_PRIORITY)),

@@ -17,7 +17,7 @@ from hitchhike_ros.mapping.grid import FREE, OCCUPIED, OccupancyGrid
 from hitchhike_ros.mapping.map_file import load_map
 from hitchhike_ros.planning.costmap import build_costmap, label_regions
 from hitchhike_ros.planning.global_planner import GlobalPlanner, GlobalPlannerParameters
-from hitchhike_ros.planning.overlap import Overlap, common_stretch
+from hitchhike_ros.planning.overlap import Overlap, common_path
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.physics.camera import CameraParameters
 from hitchhike_ros.simulation.world_file import WorldFile, load_world
@@ -70,7 +70,7 @@ def clearance(name: str, model: str, pose: Pose2D) -> float:
 def shared(plan: OccupancyGrid, driver: tuple[Pose2D, Pose2D], hitchhiker: tuple[Pose2D, Pose2D]) -> Overlap:
     """The driver's search for a common stretch: both paths by its own planner."""
     paths = (planner("p3dx").plan(plan, *ends) for ends in (driver, hitchhiker))
-    return common_stretch(*paths, SETTINGS.overlap_tolerance_m)
+    return common_path(*paths, SETTINGS.overlap_tolerance_m)
 
 
 def goal(name: str, robot: str) -> Pose2D:

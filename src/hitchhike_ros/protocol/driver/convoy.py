@@ -17,17 +17,20 @@ from hitchhike_ros.core.datatypes import (
     Twist2D,
 )
 from hitchhike_ros.core.geometry import compose, distance, inverse
+from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.core.pose_buffer import PoseBuffer, PoseBufferParameters
 from hitchhike_ros.localization.handover import handover
+from hitchhike_ros.protocol.announcement import ASTRAY_M
+from hitchhike_ros.protocol.matching import Stretch
 from hitchhike_ros.protocol.messages import Ack, Message, RearMarker
 
 # A rider that has not said how it sees the robot ahead is about so far behind it: m, m, rad (chosen).
 _UNSEEN = Pose2D(1.0)
 _UNSEEN_SIGMA = np.diag(np.square([0.5, 0.3, 0.3]))
-# Riders who leave within this of each other leave together (chosen).
-_LEAVE_TOGETHER_M = 1.0
-# Steps of the driver's own pose that count as metres ridden: noise of a standing robot does not.
-_ODOMETER_STEP_M = 0.2
+# Riders who would leave within this of each other leave together (chosen).
+LEAVE_TOGETHER_M = 1.0
+# A driver whose pose has changed by less may be standing: that is noise.
+_MOVED_M = 0.2
 
 
 # Poses of so long ago are kept, for what is told of them later; none are guessed beyond the newest (chosen).
@@ -48,14 +51,25 @@ def _keep(history: PoseBuffer, stamp: float, pose: Pose2D) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Offer:
-    """A ride that was offered: to whom, from which point (aligned as the hitchhiker stands there), how far."""
+    """A ride that was offered: to whom, from which point (aligned as the hitchhiker stands there), and along what.
+
+    The stretch begins where the driver aligns. From the lock on it stays as it is.
+    """
 
     hitchhiker: str
     ride_id: str
     point: HitchhikingPoint
-    ride_m: float
-    decouple_pose: Pose2D
-    board_m: float = 0.0  # along the driver's path, where it was asked from afar
+    stretch: Stretch
+
+    @property
+    def ride_m(self) -> float:
+        """How long the ride is."""
+        return self.stretch.length_m
+
+    @property
+    def decouple_pose(self) -> Pose2D:
+        """dloc, where the driver stops."""
+        return self.stretch.end
 
 
 @dataclass(eq=False)
@@ -155,12 +169,12 @@ class Convoy:
         """The ride ends for the next to leave, and for those who would leave within a metre of it."""
         first = self.next_to_leave
         for rider in self.coupled:
-            rider.leaving = first is not None and rider.left_m <= first.left_m + _LEAVE_TOGETHER_M
+            rider.leaving = first is not None and rider.left_m <= first.left_m + LEAVE_TOGETHER_M
 
     def credit(self, metres: float) -> None:
-        """All that are coupled have ridden so far."""
+        """All that are coupled have ridden so far, and none beyond the end of its ride."""
         for rider in self.coupled:
-            rider.ridden_m += metres
+            rider.ridden_m = min(rider.ridden_m + metres, rider.offer.ride_m)
 
     def find(self, message: Message) -> Rider | None:
         """The rider that sends a message of its present ride."""
@@ -221,17 +235,26 @@ class Convoy:
 
 
 class Odometer:
-    """Metres that a driver has gone with its riders, from its estimates."""
+    """How far a driver has come with its riders along the path that their rides follow, from its estimates."""
 
-    def __init__(self) -> None:
+    def __init__(self, line: Polyline, begin_m: float) -> None:
+        """The rides begin ``begin_m`` along the ``line``."""
+        self._line, self._come_m = line, begin_m
         self._at: Pose2D | None = None
+        self._gone_m = 0.0  # since it was seen to come farther along the path
 
     def step(self, pose: Pose2D, last: bool = False) -> float:
-        """Metres since those that were counted last; a step that is too short to count waits, unless it is the last."""
-        if self._at is None:
-            self._at = pose
-        metres = distance(self._at, pose)
-        if not last and metres < _ODOMETER_STEP_M:
+        """Metres along the path since those that were counted last; none while it goes round something beside it.
+
+        A step that is too short to count waits, unless it is the last.
+        """
+        at = self._at = self._at or pose
+        if (moved := distance(at, pose)) >= _MOVED_M:
+            self._at, self._gone_m = pose, self._gone_m + moved
+        reach_m = self._gone_m + _MOVED_M + ASTRAY_M
+        arc, away = self._line.project(pose.x, pose.y, self._come_m, self._come_m + reach_m)
+        metres = arc - self._come_m
+        if away > ASTRAY_M or (metres < _MOVED_M and not last):
             return 0.0
-        self._at = pose
+        self._come_m, self._gone_m = arc, 0.0
         return metres

@@ -356,9 +356,9 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
         """A hitchhiker that was answered from afar says where they meet (P18 §4)."""
         f, offer = self.facts, verdict(self.facts)
         assert isinstance(offer, Offer)
-        f.boarding = Boarding(offer.board_m)
+        f.boarding = Boarding(offer.stretch.begin_m)
         within_s = self.params.patience_s + 2.0 * f.to_board_m() / self.params.cruise_speed_mps
-        f.boarding = Boarding(offer.board_m, within_s)
+        f.boarding = Boarding(offer.stretch.begin_m, within_s)
         f.convoy = Convoy(f.rear_marker)
         self._take_along(lock)
 
@@ -376,7 +376,8 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
         f, rider = self.facts, self._rider(lock)
         rider.due, rider.heard_at = f.now + lock.in_s, f.now
         place, in_s = f.convoy.place(rider), f.to_board_s()
-        self._send(Ack(**self._to(rider), of=lock.type, acknowledges=lock.seq, place=place, in_s=in_s))
+        ride_m = rider.offer.ride_m
+        self._send(Ack(**self._to(rider), of=lock.type, acknowledges=lock.seq, place=place, in_s=in_s, ride_m=ride_m))
 
     def _refuse_lock(self, lock: Lock) -> None:
         no = verdict(self.facts)
@@ -410,7 +411,8 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
 
     def _pull_away(self) -> None:
         self.facts.navigation.forget()
-        self.facts.odometer = Odometer()
+        stretch = self.facts.riders[0].offer.stretch
+        self.facts.odometer = Odometer(stretch.line, stretch.begin_m)
 
     # The ride.
 
@@ -442,18 +444,20 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
             f.convoy.note(f.estimate)
             f.convoy.credit(f.odometer.step(f.estimate.pose))
 
-    def _count_last_metres(self) -> None:
-        f = self.facts
-        if f.estimate is not None:
-            f.convoy.credit(f.odometer.step(f.estimate.pose, last=True))
-
     def _wait(self) -> None:
         self.facts.convoy.waits_since = self.facts.now
 
     # Its end.
 
     def _let_leave(self) -> None:
-        self.facts.convoy.let_leave()
+        """At the end of the ride all of it has been ridden, but for what navigation's tolerance left."""
+        f = self.facts
+        if f.estimate is not None:
+            f.convoy.credit(f.odometer.step(f.estimate.pose, last=True))
+        f.convoy.let_leave()
+        for rider in f.convoy.leaving:
+            if rider.left_m <= 2.0 * RIDE_TOLERANCE_M:
+                rider.ridden_m = rider.offer.ride_m
 
     def _hand_over(self) -> None:
         self._inform_all()

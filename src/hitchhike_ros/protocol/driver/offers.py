@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D
 from hitchhike_ros.core.errors import HitchhikeError, ItineraryInputError, PlanningError
 from hitchhike_ros.core.geometry import between, compose, distance, point_in_polygon
 from hitchhike_ros.mapping.sites import Sites
-from hitchhike_ros.planning.overlap import common_stretch
-from hitchhike_ros.protocol.driver.convoy import Offer
+from hitchhike_ros.protocol.announcement import OwnPath
+from hitchhike_ros.protocol.driver.convoy import LEAVE_TOGETHER_M, Offer
 from hitchhike_ros.protocol.driver.facts import ENGAGED, WITH_RIDER, DriverFacts
 from hitchhike_ros.protocol.driver.states import DriverState
-from hitchhike_ros.protocol.matching import stretch
+from hitchhike_ros.protocol.matching import Stretch, agreed_stretch, shared_from, way_of
 from hitchhike_ros.protocol.messages import Lock, Request, Waypoint
 from hitchhike_ros.protocol.parameters import TIME_CRITICAL_PRIORITY
 from hitchhike_ros.protocol.phase import Phase
@@ -79,19 +78,19 @@ def here(f: DriverFacts, request: Request) -> Offer:
     point = None if f.estimate is None else _point_around(f.sites, f.estimate.pose, request.pose)
     if point is None:
         raise Refusal(Reason.INVALID_PLACE)
-    if f.route is None:
-        raise Refusal(Reason.PATH_TOO_SHORT)
     try:
         apart_m = f.params.gap_m - f.rear_marker.marker_pose.x + _CAMERA_M
         point = _aligned_with(request.pose, point, apart_m)
-        own_path = f.planner(point.aligning_pose, f.route.goal)
-        shared = common_stretch(own_path, f.planner(request.pose, request.goal), f.params.overlap_tolerance_m)
+        path = _boarded_path(f, point)
+        way = way_of(request, f.planner)
     except PlanningError as exc:
         raise Refusal(Reason.PATH_TOO_SHORT) from exc
-    if shared.farthest is None or shared.length_m < f.params.min_ride_m:
+    shared = shared_from(path, path.come_m, way, f.params.overlap_tolerance_m, f.params.min_ride_m)
+    if shared is None:
         raise Refusal(Reason.PATH_TOO_SHORT)
     _check_profile(f, request)
-    return Offer(request.robot_id, request.ride_id, point, shared.length_m, shared.farthest)
+    # The ride begins where both stand, although their ways may meet a little farther on.
+    return Offer(request.robot_id, request.ride_id, point, replace(shared, begin_m=path.come_m))
 
 
 def from_afar(f: DriverFacts, request: Request) -> tuple[Offer, tuple[Waypoint, ...]]:
@@ -103,14 +102,15 @@ def from_afar(f: DriverFacts, request: Request) -> tuple[Offer, tuple[Waypoint, 
     _check_willing(f, request)
     if not f.free_places:
         raise Refusal(Reason.PATH_TOO_SHORT if f.state.phase is Phase.ALONE else Reason.ALREADY_DRIVING)
-    if f.route is None or not f.route.serves(request, f.estimate, f.state is DriverState.NAVIGATING):
+    assert f.route is not None
+    stretch = f.route.shared_with(request, f.estimate, f.state is DriverState.NAVIGATING)
+    if stretch is None:
         raise Refusal(Reason.PATH_TOO_SHORT)
     _check_profile(f, request)
     waypoints = f.announced()
     if not waypoints:
         raise Refusal(Reason.PATH_TOO_SHORT)
-    length_m = math.fsum(math.dist(a[:2], b[:2]) for a, b in pairwise(waypoints))
-    return Offer(request.robot_id, request.ride_id, _NOWHERE, length_m, Pose2D(*waypoints[-1][:2])), waypoints
+    return Offer(request.robot_id, request.ride_id, _NOWHERE, stretch), waypoints
 
 
 def to_join(f: DriverFacts, request: Request) -> Offer:
@@ -143,7 +143,29 @@ def locked(f: DriverFacts, lock: Lock) -> Offer:
     point = f.riders[0].offer.point
     if distance(offer.point.aligning_pose, point.aligning_pose) > _JOIN_M:
         raise Refusal(Reason.INVALID_PLACE)
-    return replace(offer, point=point)
+    return replace(offer, point=point, stretch=_together(f, offer.stretch))
+
+
+def _together(f: DriverFacts, stretch: Stretch) -> Stretch:
+    """A joiner's ride: it begins with the first rider's, and ends with another's that ends nearly there."""
+    rides = [rider.offer.stretch for rider in f.riders]
+    ends = (ride.end_m for ride in rides if abs(ride.end_m - stretch.end_m) <= LEAVE_TOGETHER_M)
+    return Stretch(rides[0].line, rides[0].begin_m, min(ends, default=stretch.end_m))
+
+
+def _boarded_path(f: DriverFacts, point: HitchhikingPoint) -> OwnPath:
+    """The driver's way from the hitchhiking point, which is the first rider's where there is one already.
+
+    Raises:
+        PlanningError: there is no way.
+    """
+    assert f.route is not None
+    if not f.riders:
+        return OwnPath(f.planner(point.aligning_pose, f.route.goal))
+    stretch = f.riders[0].offer.stretch
+    path = OwnPath(stretch.line.points)
+    path.come_m = stretch.begin_m
+    return path
 
 
 def promise(f: DriverFacts, offer: Offer) -> None:
@@ -169,20 +191,22 @@ def _met(f: DriverFacts, lock: Lock) -> Offer:
     if path is None:
         raise Refusal(Reason.PATH_TOO_SHORT)
     try:
-        begin_m, end_m = stretch(path, lock.aligning, lock.leave)
+        stretch = agreed_stretch(path, lock.aligning, lock.waiting, lock.leave, lock.ride_m)
     except ItineraryInputError as exc:
         raise Refusal(Reason.INVALID_PLACE) from exc
-    if end_m - begin_m < f.params.min_ride_m - RIDE_TOLERANCE_M:
+    if stretch.length_m < f.params.min_ride_m - RIDE_TOLERANCE_M:
         raise Refusal(Reason.PATH_TOO_SHORT)
     waiting = lock.waiting
     known = (p for p in f.sites.hitchhiking_points if distance(p.waiting_pose, waiting) < RIDE_TOLERANCE_M)
     point = next(known, HitchhikingPoint("", (), lock.aligning, waiting))
-    return Offer(lock.robot_id, lock.ride_id, point, end_m - begin_m, path.line.pose(end_m), begin_m)
+    return Offer(lock.robot_id, lock.ride_id, point, stretch)
 
 
 def _check_willing(f: DriverFacts, request: Request) -> None:
     if not f.params.may_drive:
         raise Refusal(Reason.NO_DRIVER)
+    if f.route is None:
+        raise Refusal(Reason.DRIVES_NOWHERE)
     if max(f.params.priority, request.priority) >= TIME_CRITICAL_PRIORITY:
         raise Refusal(Reason.HIGH_PRIORITY)
 

@@ -8,7 +8,7 @@ from hitchhike_ros.core.datatypes import HitchhikingPoint, Pose2D, PoseEstimate
 from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.protocol.announcement import OwnPath
-from hitchhike_ros.protocol.matching import Boardings, Planner
+from hitchhike_ros.protocol.matching import Planner, Stretch, shared_stretch, way_of
 from hitchhike_ros.protocol.messages import Request, Waypoint
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 
@@ -23,8 +23,7 @@ class Route:
         self.goal, self.order = goal, order
         self._planner, self._sites, self._params = planner, sites, params
         self._path: OwnPath | None = None
-        self._boardings: Boardings | None = None  # along that path
-        self._asked: dict[tuple[str, str], bool] = {}  # whether it serves who asked
+        self._asked: dict[tuple[str, str], Stretch | None] = {}  # what it shares with who asked
 
     def path(self, estimate: PoseEstimate | None, may_plan: bool) -> OwnPath | None:
         """The path to the goal with how far the robot has come; None where it has no pose, or there is no way.
@@ -35,24 +34,27 @@ class Route:
             return None
         on_it = self._path is not None and self._path.advance(estimate.pose)
         if not on_it and may_plan:
-            self._boardings = None
+            self._asked = {}
             try:
                 self._path = OwnPath(self._planner(estimate.pose, self.goal))
             except PlanningError:
                 self._path = None  # navigation finds out too, and says why
         return self._path
 
-    def serves(self, request: Request, estimate: PoseEstimate | None, may_plan: bool) -> bool:
-        """Whether it comes by a place from where its way is the hitchhiker's too; a question is repeated, not this."""
+    def shared_with(self, request: Request, estimate: PoseEstimate | None, may_plan: bool) -> Stretch | None:
+        """What it shares with the hitchhiker's way, None where that is too little; a question is repeated, not this."""
         key = (request.robot_id, request.ride_id)
         if key not in self._asked:
             path = self.path(estimate, may_plan)
             if path is None:
-                return False
-            if self._boardings is None:
-                self._boardings = Boardings(path, self._sites, self._params)
+                return None
             self._asked = dict(list(self._asked.items())[-_REMEMBERED:])
-            self._asked[key] = self._boardings.serve(request.goal)
+            try:
+                way = way_of(request, self._planner)
+            except PlanningError:
+                self._asked[key] = None  # it goes nowhere
+            else:
+                self._asked[key] = shared_stretch(path, way, self._sites, self._params)
         return self._asked[key]
 
 

@@ -345,7 +345,7 @@ ROWS = (
     # The ride.
     Row((S.ALIGNED, *WITH_RIDER), Ack, "_hear", when=(is_of_driver,)),
     Do((S.DRIVING, WAIT), "_count_metres"),
-    Row((S.DRIVING,), Tick, ("_count_last_metres", "_let_leave", "_hand_over"), S.DECOUPLING, (arrived,)),
+    Row((S.DRIVING,), Tick, ("_let_leave", "_hand_over"), S.DECOUPLING, (arrived,)),
     Row((S.DRIVING,), Tick, ("_note_outcome", "_end_rides", "_set_out"), ON, (given_up,)),
     Do((S.DRIVING, WAIT), "_inform_all"),
     Row((S.DRIVING,), Tick, "_wait", WAIT, (rider_missing, all_follow), R.NO_ACKNOWLEDGEMENT),

@@ -20,10 +20,13 @@ class Choice:
 
     offer: Accept
     meeting: Meeting | None = None
+    agreed_m: float | None = None  # how long the driver says that the ride is, now that it is locked
 
     @property
     def ride_m(self) -> float:
         """How long the ride will be."""
+        if self.agreed_m is not None:
+            return self.agreed_m
         return self.offer.ride_m if self.meeting is None else self.meeting.ride_m
 
 

@@ -11,7 +11,7 @@ from hitchhike_ros.protocol.hitchhiker.pursuit import Pursuit
 from hitchhike_ros.protocol.hitchhiker.ride import Restart, Ride
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState as S
 from hitchhike_ros.protocol.machine import Facts, of_phases
-from hitchhike_ros.protocol.messages import EVERYBODY
+from hitchhike_ros.protocol.messages import EVERYBODY, PathPoints
 from hitchhike_ros.protocol.neighbours import Neighbours
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.phase import Phase
@@ -39,6 +39,7 @@ class HitchhikerFacts(Facts):
     ride_id: str = ""
     driver: str = ""  # whose offer was taken, for this request or an earlier one
     handed_over: bool = False  # whether that ride ended with a handover
+    path: PathPoints | None = None  # from where it asked to the goal; None before it was planned
 
     # Of single phases.
     asking: Asking = of_phases(Phase.ASKING)

@@ -5,14 +5,17 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from scipy.spatial.distance import cdist
 
 from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
+from hitchhike_ros.core.errors import PlanningError
 from hitchhike_ros.localization.motion import carried_on
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.itinerary import SoloMetres
+from hitchhike_ros.protocol.announcement import asked_path
 from hitchhike_ros.protocol.events import Effect, GoalGiven, TakeObstacles, TakePose
 from hitchhike_ros.protocol.hitchhiker.asking import Asking, Choice
 from hitchhike_ros.protocol.hitchhiker.facts import BEHIND_DRIVER, HitchhikerFacts
@@ -22,7 +25,7 @@ from hitchhike_ros.protocol.hitchhiker.ride import Restart, Ride
 from hitchhike_ros.protocol.hitchhiker.states import HitchhikerState
 from hitchhike_ros.protocol.hitchhiker.table import ROWS
 from hitchhike_ros.protocol.machine import Machine
-from hitchhike_ros.protocol.matching import Meeting
+from hitchhike_ros.protocol.matching import Meeting, Planner
 from hitchhike_ros.protocol.messages import (
     EVERYBODY,
     Accept,
@@ -34,6 +37,7 @@ from hitchhike_ros.protocol.messages import (
     Driver,
     Lock,
     Message,
+    PathPoints,
     RearMarker,
     Request,
     RequestCancel,
@@ -67,6 +71,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         rear_marker: RearMarker | None = None,
         neighbours: Neighbours | None = None,
         metres: SoloMetres = cdist,
+        planner: Planner | None = None,
     ) -> None:
         """A hitchhiker without a goal.
 
@@ -78,12 +83,14 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
             rear_marker: this robot's own.
             neighbours: the robots in reach; the hitchhiker adds where it has seen the robot ahead of it.
             metres: the ways of driving alone, for choosing among rides.
+            planner: the path between two poses, which drivers are told; without it they plan it themselves.
         """
         known = neighbours or Neighbours()
         super().__init__(HitchhikerFacts(params=params, neighbours=known, window_s=params.offer_window_s))
         self.robot_id = robot_id
         self.params = params
         self._sites, self._camera, self._rear_marker, self._metres = sites, camera, rear_marker, metres
+        self._planner = planner
         self._requests, self._pursuit_ways = itertools.count(1), itertools.count(1)
 
     def ask(
@@ -201,7 +208,9 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         if self.meeting is None or self.state.phase is Phase.PARTING:
             return 0.0
         if self.state in (*S.of(*_LED), *S.of(Phase.RETURNING)):
-            return max(0.0, self.meeting.ride_m - self.ridden_m) / self.params.ride_speed_mps + self.params.decouple_s
+            return (
+                max(0.0, self.facts.choice.ride_m - self.ridden_m) / self.params.ride_speed_mps + self.params.decouple_s
+            )
         return self.facts.rendezvous.ride_ends_in_s(self.facts.now)
 
     # Asking.
@@ -212,7 +221,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
     def _request_anew(self) -> None:
         facts = self.facts
         facts.ride_id = f"{self.robot_id}-{next(self._requests)}-{facts.now:.1f}"
-        facts.handed_over = False
+        facts.handed_over, facts.path = False, None
         facts.asking = Asking(self.params, facts.now, facts.window_s, facts.whom, self.ending)
 
     def _repeat_request(self) -> None:
@@ -233,6 +242,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
                 priority=self.params.priority,
                 in_s=self.facts.ready_in_s,
                 rear_marker=self._rear_marker,
+                path=self._asked_path(estimate.pose, goal),
             )
         )
 
@@ -241,6 +251,10 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
 
     def _note_denial(self, denial: Deny) -> None:
         told = Ending.told(denial.reason)
+        if told.reason is Reason.DRIVES_NOWHERE and self.ending:
+            told = (
+                self.ending
+            )  # what a driver says, or why it asks again, is worth more than that there is another robot
         if told != self.ending:
             self._report(f"{denial.robot_id} denies: {told}", told.reason)
         self.ending = told
@@ -281,7 +295,19 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
         if self._every(self.params.repeat_period_s, "lock"):
             self._send_lock()
 
+    def _asked_path(self, start: Pose2D, goal: Pose2D) -> PathPoints:
+        """The way of the present request, planned once; none where there is none."""
+        facts = self.facts
+        if facts.path is None and self._planner is not None:
+            try:
+                facts.path = asked_path(self._planner(start, goal))
+            except PlanningError:
+                facts.path = ()
+        return facts.path or ()
+
     def _agree(self, ack: Ack) -> None:
+        if ack.ride_m > 0.0:
+            self.facts.choice = replace(self.facts.choice, agreed_m=ack.ride_m)
         self.facts.rendezvous.agree(ack.place, ack.in_s, self.facts.now, self.facts.situation.estimate)
 
     def _go_to_meet(self) -> None:
@@ -433,6 +459,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
                 aligning=meeting.point.aligning_pose,
                 waiting=meeting.point.waiting_pose,
                 leave=meeting.leave,
+                ride_m=meeting.ride_m,
                 in_s=facts.rendezvous.arrives_in_s(facts.situation, facts.now, facts.ready_in_s),
                 rear_marker=self._rear_marker,
             )

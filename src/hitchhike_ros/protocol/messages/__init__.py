@@ -3,8 +3,10 @@
 from hitchhike_ros.protocol.messages.codec import MAP_MESSAGES, MESSAGE_TYPES, VERSION, decode, encode
 from hitchhike_ros.protocol.messages.fields import (
     EVERYBODY,
+    MOST_PATH_POINTS,
     Covariance,
     Message,
+    PathPoints,
     PoseFields,
     Priority,
     Profile,
@@ -50,6 +52,7 @@ __all__ = [
     "MAP_MESSAGES",
     "MESSAGE_TYPES",
     "MOST_ASKED",
+    "MOST_PATH_POINTS",
     "VERSION",
     "Accept",
     "Ack",
@@ -68,6 +71,7 @@ __all__ = [
     "MapRequest",
     "Message",
     "NewObstacles",
+    "PathPoints",
     "PoseFields",
     "Priority",
     "Profile",

@@ -99,7 +99,7 @@ def decode(text: str) -> Message:
         sigma = getattr(message, name, None)
         if sigma is not None and not _is_covariance(sigma):
             raise MessageError(f"{kind}: {name} is {sigma}, expected symmetric and positive semidefinite")
-    path = getattr(message, "path", ())
+    path = message.path if isinstance(message, Beacon | Accept) else ()
     if len(path) == 1 or any(after[2] <= before[2] for before, after in pairwise(path)):
         raise MessageError(f"{kind}: path is {path}, expected two points or more, each later than the one before")
     return message

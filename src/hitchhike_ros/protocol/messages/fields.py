@@ -25,6 +25,9 @@ Waypoint = tuple[float, float, NonNegative]
 # More of them in one message are no simplified path (chosen).
 _MOST_WAYPOINTS = 500
 Waypoints = Annotated[tuple[Waypoint, ...], msgspec.Meta(max_length=_MOST_WAYPOINTS)]
+# The way to a goal, x and y in m in ``map``, simplified to so many points at most.
+MOST_PATH_POINTS = 64
+PathPoints = Annotated[tuple[tuple[float, float], ...], msgspec.Meta(max_length=MOST_PATH_POINTS)]
 Covariance = tuple[Row, Row, Row]
 Place = Annotated[int, msgspec.Meta(ge=1)]  # in a convoy, 1 behind the driver
 

@@ -11,6 +11,7 @@ from hitchhike_ros.core.datatypes import NonNegative, Obstacle, Pose2D, Positive
 from hitchhike_ros.protocol.messages.fields import (
     Covariance,
     Message,
+    PathPoints,
     Place,
     PoseFields,
     Priority,
@@ -46,7 +47,10 @@ class Beacon(Message):
 
 @dataclass(frozen=True, kw_only=True)
 class Request(PoseFields, Message):
-    """A hitchhiker asks for a ride: {R_h, G_h, P_h} and where it stands (P17 §2.2, P18 §4), or will, in ``in_s``."""
+    """A hitchhiker asks for a ride: {R_h, G_h, P_h} and where it stands (P17 §2.2, P18 §4), or will, in ``in_s``.
+
+    ``path`` is its way from there to the goal, Q_h (P18 Algorithm 2); without one a driver plans it on its own map.
+    """
 
     type = "request"
 
@@ -55,13 +59,15 @@ class Request(PoseFields, Message):
     priority: Priority = 10
     in_s: NonNegative = 0.0
     rear_marker: RearMarker | None = None  # for whoever comes behind it in a convoy
+    path: PathPoints = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Accept(PoseFields, Message):
     """A driver offers the ride: how long it is, where it ends, and its rear marker.
 
-    In a network the hitchhiker chooses among the rides that the driver's ``path`` allows (P18 §4).
+    In a network that is the ride from the first place to the last that both their ways pass, and the hitchhiker chooses
+    among all rides that the driver's ``path`` allows (P18 §4).
     """
 
     type = "accept"
@@ -95,7 +101,8 @@ class Lock(Message):
     """The hitchhiker takes the offer.
 
     In a network it says where: the driver stops at ``aligning``, the hitchhiker is at ``waiting`` in ``in_s``, and
-    the ride ends at ``leave``. It says so again as it comes nearer.
+    the ride ends at ``leave``, ``ride_m`` along the driver's path from where it waits (0: it does not say). It says so
+    again as it comes nearer.
     """
 
     type = "lock"
@@ -103,6 +110,7 @@ class Lock(Message):
     aligning: Pose2D | None = None
     waiting: Pose2D | None = None
     leave: tuple[float, float] | None = None
+    ride_m: NonNegative = 0.0
     in_s: NonNegative = 0.0
     rear_marker: RearMarker | None = None
 
@@ -174,7 +182,8 @@ class Driver(DriverFields, Message):
 class Ack(Message):
     """Message ``acknowledges`` of type ``of`` has arrived; a rider adds how it follows.
 
-    A driver that confirms a lock adds the place, and in how many seconds it will be aligned.
+    A driver that confirms a lock adds the place, in how many seconds it will be aligned, and how long the ride is from
+    there (0: it does not say): so far the two ride together, and that is what is paid for.
 
     ``seen`` is the marker ahead in its ``base_footprint`` with covariance ``seen_sigma``: it tells where the rider is,
     or was ``seen_age_s`` before the message.
@@ -186,6 +195,7 @@ class Ack(Message):
     acknowledges: int
     place: Place = 1
     in_s: NonNegative = 0.0
+    ride_m: NonNegative = 0.0
     following: bool = True
     gap_m: float | None = None
     seen: Pose2D | None = None
