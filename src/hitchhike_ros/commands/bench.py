@@ -31,8 +31,20 @@ from hitchhike_ros.experiments.scoring.figures import Figure, all_hold
 _NAMES = "\b\nBenchmarks:\n" + "\n".join(f"  {name:<14}{what}" for name, what in BENCHMARKS.items())
 
 
+def _benchmarks(_context: click.Context, _parameter: click.Parameter, words: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of benchmarks, of one word or two."""
+    names, rest = [], list(words)
+    while rest:
+        name = next((name for name in (" ".join(rest[:2]), rest[0]) if name in BENCHMARKS), None)
+        if name is None:
+            raise click.BadParameter(f"{rest[0]!r} is not one of {', '.join(repr(name) for name in BENCHMARKS)}.")
+        names.append(name)
+        del rest[: len(name.split())]
+    return tuple(names)
+
+
 @click.command("bench", help=help_of(__doc__), epilog=_NAMES, context_settings=SETTINGS)
-@click.argument("names", nargs=-1, required=True, type=click.Choice(list(BENCHMARKS)), metavar="NAME...")
+@click.argument("names", nargs=-1, required=True, callback=_benchmarks, metavar="NAME...")
 @json_option
 @folder_option("--output", default="runs/bench", text="Folder for pictures, and for what each run came to.")
 @click.option(
@@ -46,7 +58,8 @@ _NAMES = "\b\nBenchmarks:\n" + "\n".join(f"  {name:<14}{what}" for name, what in
     "--seeds",
     metavar="N",
     type=click.IntRange(min=1),
-    help="So many, where a benchmark has seeds to choose from.  [default: 10000 of faults, 5 of cost]",
+    help="So many, where a benchmark has seeds to choose from.  [default: 10000 of faults, 20000 of fuzz files, 5 of "
+    "cost]",
 )
 @click.option("--quick", is_flag=True, help="Fewer seeds and smaller sizes, to see that it works.")
 @check_option

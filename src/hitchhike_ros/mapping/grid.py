@@ -109,6 +109,12 @@ def distance_to(mask: BoolArray, resolution: float) -> npt.NDArray[np.float32]:
     """
     if not mask.any():
         return np.full(mask.shape, np.inf, dtype=np.float32)
-    cells = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    # OpenCV's last digit depends on how its buffer is aligned. Squares are whole numbers, so they can be rounded.
-    return np.asarray(np.sqrt(np.rint(cells * cells)) * np.float32(resolution), dtype=np.float32)
+    cells = cv2.distanceTransform((~mask).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    distance = np.asarray(cells, dtype=np.float32)
+    # OpenCV's last digit depends on how its buffer is aligned. Squares are whole numbers, so they can be rounded; in
+    # place, as maps may have many cells.
+    np.square(distance, out=distance)
+    np.rint(distance, out=distance)
+    np.sqrt(distance, out=distance)
+    distance *= np.float32(resolution)
+    return distance

@@ -103,7 +103,8 @@ class NewObstacleMapper:
     def __init__(self, grid: OccupancyGrid, parameters: MappingParameters) -> None:
         self._grid, self._parameters = grid, parameters
         # From a wall's face, which is half a cell before the centres of its cells.
-        self._to_wall = distance_to(grid.occupied, grid.resolution) - grid.resolution / 2
+        self._to_wall = distance_to(grid.occupied, grid.resolution)
+        self._to_wall -= np.float32(grid.resolution / 2)
         self._free = np.equal(grid.data, FREE)
         self._cells = _Cells.fresh(np.zeros(0, dtype=np.int64), np.zeros(0), 0.0, np.zeros(2))
         p = parameters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,7 +141,7 @@ def _merged(path: Path, over: tuple[Path, ...]) -> dict[str, Any]:
         content["map"] = str(path.parent / content["map"])
     if base is None:
         return content
-    if not isinstance(base, str) or not (path.parent / base).is_file():
+    if not isinstance(base, str) or not os.path.isfile(path.parent / base):
         raise WorldFileError(path, "base", base, "the path of another such file")
     below = path.parent / base
     if below.resolve() in (p.resolve() for p in (*over, path)):

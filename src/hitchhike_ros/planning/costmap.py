@@ -64,10 +64,15 @@ def build_costmap(grid: OccupancyGrid, limits: RobotLimits, params: CostmapParam
     if not params.allow_unknown:
         obstacles |= grid.data < 0
     # Distances are between centres, an obstacle begins half a cell before its own.
-    clearance = distance_to(obstacles, grid.resolution) - np.float32(grid.resolution / 2)
+    clearance = distance_to(obstacles, grid.resolution)
+    clearance -= np.float32(grid.resolution / 2)
     lethal_m = limits.inscribed_m + params.margin_m
-    nearness = np.maximum(1 - clearance / np.float32(params.inflation_m), 0)
-    cost = 1 + np.float32(params.clearance_weight) * nearness**2
+    cost = clearance / np.float32(-params.inflation_m)  # from here on in place, as maps may have many cells
+    cost += np.float32(1)
+    np.maximum(cost, 0, out=cost)
+    np.square(cost, out=cost)
+    cost *= np.float32(params.clearance_weight)
+    cost += np.float32(1)
     cost[clearance < lethal_m] = np.inf
     return Costmap(grid, cost, clearance, lethal_m)
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hitchhike_ros.core.datatypes import CameraInfo, FloatArray
+from hitchhike_ros.core.errors import VisionError
 
 GrayImage = npt.NDArray[np.uint8]
 # The straight picture may be larger than the lens's by this share on each side; what lies farther out is cut off.
@@ -32,6 +33,9 @@ class Lens:
         u, v = np.linspace(0.0, w - 1.0, 20), np.linspace(0.0, h - 1.0, 20)
         rim = np.vstack([np.c_[u, 0 * u], np.c_[u, 0 * u + h - 1], np.c_[0 * v, v], np.c_[0 * v + w - 1, v]])
         straight = self._straightened(rim)
+        if not np.isfinite(straight).all():
+            K, D = self.info.K.tolist(), self.info.D.tolist()
+            raise VisionError(f"K and D of camera_info are {K} and {D}, expected a lens that can be straightened")
         limit = _MARGIN * np.array([w, h])
         low = np.floor(np.clip(straight.min(axis=0), -limit, 0.0))
         high = np.ceil(np.clip(straight.max(axis=0), np.array([w, h]) - 1.0, np.array([w, h]) - 1.0 + limit))

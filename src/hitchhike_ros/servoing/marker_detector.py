@@ -367,5 +367,7 @@ def _check_camera_info(info: CameraInfo, image: npt.NDArray[np.uint8]) -> None:
         raise VisionError(f"K of camera_info has focal lengths {info.K[0, 0]}, {info.K[1, 1]}, expected more than 0")
     if not np.isfinite(info.D).all() or info.D.size not in (0, 4, 5, 8, 12, 14):
         raise VisionError(f"D of camera_info is {info.D.tolist()}, expected 5 finite numbers (plumb_bob)")
+    if not (info.width > 0 and info.height > 0):
+        raise VisionError(f"camera_info is for {info.width} x {info.height} pixels, expected at least one")
     if image.shape[:2] != (info.height, info.width):
         raise VisionError(f"image is of shape {image.shape}, camera_info is for {info.width} x {info.height} pixels")

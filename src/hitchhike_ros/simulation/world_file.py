@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
@@ -93,7 +94,7 @@ def load_world(path: Path | str) -> WorldFile:
         {f.name: content[f.name] for f in fields(_Scalars) if f.name in content}, _Scalars, path, error=WorldFileError
     )
     map_file = Path(scalars.map)
-    if not map_file.is_file():
+    if not os.path.isfile(map_file):
         raise WorldFileError(path, "map", scalars.map, f"the path of a map_server YAML file; {map_file} is not one")
     boxes = read_list(content, "boxes", Box, path)
     require_unique((box.id for box in boxes), "boxes", "id", path)

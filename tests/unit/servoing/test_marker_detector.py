@@ -361,6 +361,9 @@ def test_covariances_are_symmetric_and_positive(distance, yaw):
 IMAGE = np.zeros((480, 640), np.uint8)
 
 
+FAR_OFF = np.array([[50.0, 0.0, 32.0], [5.0, 50.0, 1e300], [0.0, 0.0, 1.0]])
+
+
 @pytest.mark.parametrize(
     ("image", "info", "named"),
     [
@@ -375,6 +378,8 @@ IMAGE = np.zeros((480, 640), np.uint8)
         (IMAGE, replace(CAMERA, K=np.eye(2)), "3 x 3"),
         (IMAGE, replace(CAMERA, D=np.full(5, np.inf)), "D of camera_info"),
         (IMAGE, replace(CAMERA, D=np.zeros(3)), "D of camera_info"),
+        (IMAGE, replace(CAMERA, K=FAR_OFF, D=np.array([2.0, -1e38, -2.0, 1.5, -2.0])), "a lens"),
+        (IMAGE[:0], replace(CAMERA, height=0, D=np.full(5, 0.1)), "expected at least one"),
     ],
 )
 def test_bad_images_and_calibrations_are_named(image, info, named):

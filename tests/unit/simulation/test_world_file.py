@@ -116,6 +116,8 @@ BAD = [
     ("hitchhiking", {"mode": "radio"}, "hitchhiking.mode", "local"),
     ("hitchhiking", ["network"], "hitchhiking", "a mapping"),
     ("base", "nowhere.yaml", "base", "the path of another"),
+    ("base", "x" * 300, "base", "the path of another"),
+    ("map", "x" * 300, "map", "the path of a map_server"),
     ("base", "test.world.yaml", "base", "not based on this one"),
 ]
 

@@ -1,4 +1,4 @@
-"""What every benchmark takes and gives; each is the module of this folder that has its name."""
+"""What every benchmark takes and gives; each is the module of this folder that has its name, ``_`` for a blank."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ BENCHMARKS: dict[str, str] = {
     "itineraries": "chains of rides: optimal, and how time grows with the fleet",
     "faults": "fleets on bad networks and with robots that fail",
     "fleet": "up to 1000 robots in one grid world, and when riding pays",
+    "fuzz files": "maps, worlds, parameters, robots and scans that went wrong: read or refused, in bounded time",
     "cost": "rides and driving alone with the real nodes, in separate processes and in one (half an hour)",
 }
 """What ``bench`` measures, by name."""
@@ -71,4 +72,4 @@ class Benchmark(Protocol):
 
 def load(name: str) -> Benchmark:
     """The module of one of ``BENCHMARKS`` or ``EXPERIMENTS``."""
-    return importlib.import_module(f"hitchhike_ros.experiments.bench.{name}")  # type: ignore[return-value]
+    return importlib.import_module("hitchhike_ros.experiments.bench." + name.replace(" ", "_"))  # type: ignore[return-value]

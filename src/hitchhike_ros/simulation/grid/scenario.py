@@ -6,6 +6,7 @@ A file may begin with ``base``, as world files may.
 from __future__ import annotations
 
 import math
+import os
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -141,7 +142,7 @@ def load_scenario(path: Path | str) -> Scenario:
     scalars = convert(
         {f.name: content[f.name] for f in fields(_Scalars) if f.name in content}, _Scalars, path, error=WorldFileError
     )
-    if not Path(scalars.map).is_file():
+    if not os.path.isfile(scalars.map):
         raise WorldFileError(path, "map", scalars.map, "the path of a map_server YAML file")
     boxes = read_list(content, "boxes", Obstacle, path)
     require_unique((box.id for box in boxes), "boxes", "id", path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,20 @@ from hitchhike_ros.mapping.grid import OccupancyGrid
 # Four sides and the top of a prism whose corners are 0–3 below and 4–7 above, counter-clockwise from outside.
 _FACES = ((0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7))
 
+_MOST_PRISMS = 5000  # of 20 vertices each
+
 
 def merge_cells(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
     """Disjoint rectangles (N, 4) as (row, column, end row, end column) that cover the mask (H, W), ends exclusive.
 
     Greedy: runs within a row, grown upwards while the next row has the same run.
     """
-    padded = np.pad(mask, ((0, 1), (1, 1))).astype(np.int8)  # one empty row ends every rectangle
+    padded = np.zeros(mask.shape[1] + 2, dtype=np.int8)
     open_runs: dict[tuple[int, int], int] = {}
     rectangles = []
-    for row, edges in enumerate(np.diff(padded, axis=1)):
+    for row in range(len(mask) + 1):  # one empty row behind the last ends every rectangle
+        padded[1:-1] = mask[row] if row < len(mask) else 0
+        edges = np.diff(padded)
         runs = set(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
         for run in [run for run in open_runs if run not in runs]:
             rectangles.append((open_runs.pop(run), run[0], row, run[1]))
@@ -31,11 +36,23 @@ def merge_cells(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
     return np.array(sorted(rectangles), dtype=np.int64).reshape(-1, 4)
 
 
-def wall_mesh(grid: OccupancyGrid, height_m: float) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
-    """Occupied cells as prisms from the floor to ``height_m``: vertices (V, 3) in ``map``, their normals (V, 3) and
-    triangles (T, 3). Vertices are not shared between faces, so that edges look sharp. Empty without occupied cells.
-    """
+def wall_meshes(grid: OccupancyGrid, height_m: float) -> Iterator[tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]]:
+    """As :func:`wall_mesh`, in parts that pybullet takes: it has a limit of 131,072 vertices for each."""
     rectangles = merge_cells(grid.occupied)
+    for first in range(0, len(rectangles), _MOST_PRISMS):
+        yield wall_mesh(grid, height_m, rectangles[first : first + _MOST_PRISMS])
+
+
+def wall_mesh(
+    grid: OccupancyGrid, height_m: float, rectangles: npt.NDArray[np.int64] | None = None
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
+    """Rectangles of cells, by default all that are occupied, as prisms from the floor to ``height_m``.
+
+    Returns:
+        Vertices (V, 3) in ``map``, their normals (V, 3) and triangles (T, 3). Vertices are not shared between faces, so
+        that edges look sharp. Empty without occupied cells.
+    """
+    rectangles = merge_cells(grid.occupied) if rectangles is None else rectangles
     if not len(rectangles):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     r0, c0, r1, c1 = rectangles.T

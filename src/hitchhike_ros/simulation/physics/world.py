@@ -6,6 +6,7 @@ Nothing here reads a clock: time passes by :meth:`World.step` alone. Several wor
 from __future__ import annotations
 
 import math
+import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ from hitchhike_ros.simulation.physics.robot import (
 )
 from hitchhike_ros.simulation.physics.tags import write_tag
 from hitchhike_ros.simulation.physics.walking_bodies import WalkingBody, cylinder
-from hitchhike_ros.simulation.physics.walls import wall_mesh, write_obj
+from hitchhike_ros.simulation.physics.walls import wall_meshes, write_obj
 from hitchhike_ros.simulation.world_file import Box, WorldFile, check_box, load_world
 
 Steps = Annotated[int, msgspec.Meta(ge=1)]
@@ -206,7 +207,7 @@ class World:
     def _check_robots(self, package: Path) -> None:
         for name, entry in self.file.robots.items():
             for file in robot_files(entry.model, package):
-                if not file.is_file():
+                if not os.path.isfile(file):
                     raise WorldFileError(
                         self.file.path, f"robots.{name}.model", entry.model, f"a model with a file {file}"
                     )
@@ -257,17 +258,17 @@ class World:
         p.setCollisionFilterGroupMask(floor, -1, FLOOR_GROUP, everything, physicsClientId=self.client)
 
     def _add_walls(self, folder: Path) -> None:
-        vertices, normals, triangles = wall_mesh(self.grid, self.file.wall_height_m)
-        if not len(triangles):
-            return
-        shape = p.createCollisionShape(
-            p.GEOM_MESH, vertices=vertices.tolist(), indices=triangles.ravel().tolist(),
-            flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=self.client,
-        )  # fmt: skip
-        file = folder / "walls.obj"  # the EGL renderer reads meshes from files only
-        write_obj(file, vertices, normals, triangles)
-        look = p.createVisualShape(p.GEOM_MESH, fileName=str(file), **_paint(_WALL_COLOUR), physicsClientId=self.client)
-        self._names[self._add_static(shape, look, [0.0, 0.0, 0.0])] = "walls"
+        for i, (vertices, normals, triangles) in enumerate(wall_meshes(self.grid, self.file.wall_height_m)):
+            shape = p.createCollisionShape(
+                p.GEOM_MESH, vertices=vertices.tolist(), indices=triangles.ravel().tolist(),
+                flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=self.client,
+            )  # fmt: skip
+            file = folder / f"walls{i}.obj"  # the EGL renderer reads meshes from files only
+            write_obj(file, vertices, normals, triangles)
+            look = p.createVisualShape(
+                p.GEOM_MESH, fileName=str(file), **_paint(_WALL_COLOUR), physicsClientId=self.client
+            )
+            self._names[self._add_static(shape, look, [0.0, 0.0, 0.0])] = "walls"
 
     def _add_marker(self, marker: Marker, folder: Path) -> None:
         for mesh, grey in zip(write_tag(marker, folder, _BOARD_M), (0.0, 1.0), strict=True):

@@ -7,7 +7,7 @@ from hypothesis.extra.numpy import arrays
 
 from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.mapping.grid import OccupancyGrid
-from hitchhike_ros.simulation.physics.walls import merge_cells, wall_mesh
+from hitchhike_ros.simulation.physics.walls import merge_cells, wall_mesh, wall_meshes
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12))))
@@ -45,3 +45,16 @@ def test_the_mesh_stands_where_the_map_says() -> None:
 
 def test_an_empty_map_has_no_walls() -> None:
     assert all(len(part) == 0 for part in wall_mesh(OccupancyGrid(np.zeros((3, 3)), 0.1), 1.0))
+
+
+def test_many_walls_come_in_parts_that_pybullet_takes():
+    data = np.zeros((200, 120))
+    data[::2, ::2] = 100  # 6,000 pillars
+    grid = OccupancyGrid(data, 0.1)
+    parts, whole = list(wall_meshes(grid, 1.0)), wall_mesh(grid, 1.0)
+    assert max(len(vertices) for vertices, _, _ in parts) <= 131_072 < len(whole[0]) + 20_000
+    assert sum(len(triangles) for _, _, triangles in parts) == len(whole[2])
+    points = np.concatenate([vertices[triangles].reshape(-1, 3) for vertices, _, triangles in parts])
+    expected = whole[0][whole[2]].reshape(-1, 3)
+    np.testing.assert_array_equal(points[np.lexsort(points.T)], expected[np.lexsort(expected.T)])
+    assert list(wall_meshes(OccupancyGrid(np.zeros((3, 3)), 0.1), 1.0)) == []
