@@ -38,6 +38,7 @@ def followed(ride: ComposedRide, now: float, sees: bool = True, covered: bool = 
     order = replace(follower.status, servo=ServoCommand("follow", 0), modules=ModuleSwitches(VS=True))
     servoing.order(order, now)
     servoing.sense(follower.body.odometry(), now)
+    servoing.sense(replace(follower.body.scan(), stamp=now), now)
     assert CameraImage in servoing.listens()
     if sees:
         follower.see(now, covered)
