@@ -25,7 +25,7 @@ from hitchhike_ros.experiments.scoring.ride_figures import (
     MAX_HANDOVER_SIGMA,
 )
 from hitchhike_ros.experiments.scoring.tracks import poses_at
-from hitchhike_ros.protocol.messages import Lock, Message, Request, decode
+from hitchhike_ros.protocol.messages import Accept, Ack, Decouple, Lock, Message, Request, decode
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.protocol.status import ModuleSwitches
 from hitchhike_ros.simulation.world_file import WorldFile, load_world
@@ -215,7 +215,43 @@ class ConvoyTest(NetworkRideTest):
         self.assertEqual([(RIDER, LAST), (LAST,)], convoys)
 
 
-RIDES = {"partial": PartialTest, "two_drivers": TwoDriversTest, "reversal": ReversalTest, "convoy": ConvoyTest}
+class SharedPathTest(NetworkRideTest):
+    """Round a U, whose ends are side by side: the crow flies 4 m, and the ride is of 27 m."""
+
+    LEAST_M = 24.0
+
+    def test_it_was_offered_what_both_paths_share(self) -> None:
+        (ride,) = self.rides
+        assert ride.ride_m is not None
+        offers = [m for m in self.sent(DRIVER, Accept) if isinstance(m, Accept)]
+        asked = [m for m in self.sent(RIDER, Request) if isinstance(m, Request)]
+        self.assertTrue(offers)
+        self.assertGreater(offers[-1].ride_m, self.LEAST_M)
+        self.assertAlmostEqual(ride.ride_m, offers[-1].ride_m, delta=1.5)
+        self.assertTrue(all(2 <= len(request.path) <= 64 for request in asked), asked)
+
+    def test_what_was_told_at_the_lock_was_ridden_and_paid_for(self) -> None:
+        (ride,) = self.rides
+        told = {m.ride_m for m in self.sent(DRIVER, Ack) if isinstance(m, Ack) and m.of == Lock.type}
+        (told_m,) = told
+        self.assertGreater(told_m, self.LEAST_M)
+        for robot in (RIDER, DRIVER):
+            statuses = [s for s in self.record.robots[robot].statuses if s.state in ("riding", "driving")]
+            self.assertEqual({told_m}, {s.ride.ride_m for s in statuses if s.ride is not None}, robot)
+        assert ride.ride_m is not None
+        self.assertAlmostEqual(told_m, ride.ride_m, delta=0.6)
+        self.assertAlmostEqual(told_m, self.sent(DRIVER, Decouple)[-1].ridden_m, places=6)  # type: ignore[attr-defined]
+        (points,) = ride.points
+        self.assertAlmostEqual(0.4 * told_m, points, places=6)
+
+
+RIDES = {
+    "shared_path": SharedPathTest,
+    "partial": PartialTest,
+    "two_drivers": TwoDriversTest,
+    "reversal": ReversalTest,
+    "convoy": ConvoyTest,
+}
 
 if __name__ == "__main__":
     rospy.init_node("network_ride_test")

@@ -89,7 +89,16 @@ def messages(robot_id: str = DRIVER, to: str = RIDER, ride_id: str = "ride") -> 
             path=PATH,
             free_places=1,
         ),
-        Request(**head, x=1.8, y=5.72, theta=0.0, goal=RIDER_GOAL, profile=50.0, rear_marker=REAR_MARKER),
+        Request(
+            **head,
+            x=1.8,
+            y=5.72,
+            theta=0.0,
+            goal=RIDER_GOAL,
+            profile=50.0,
+            rear_marker=REAR_MARKER,
+            path=((1.8, 5.72), (25.0, 5.72), (25.0, 2.5)),
+        ),
         Accept(
             **head,
             **pose,

@@ -17,6 +17,7 @@ from hitchhike_ros.protocol.messages import MOST_PATH_POINTS, PathPoints, Waypoi
 _SIMPLIFY_M = 0.15
 # A hitchhiker's path, which others compare with theirs, is simplified by this at least (chosen: a cell of a map).
 _COMPARED_M = 0.05
+_DECIMALS = 3  # of a metre: what is told of a path
 # So much coarser at a time, until the path has few enough points (chosen).
 _COARSER = 1.5
 # Farther from its plan a robot is on another way (chosen).
@@ -69,7 +70,7 @@ def asked_path(plan: FloatArray) -> PathPoints:
     while len(kept) > MOST_PATH_POINTS:
         tolerance_m *= _COARSER
         kept = _simplified(points, tolerance_m)
-    return tuple((x, y) for x, y in kept.tolist())
+    return tuple((round(x, _DECIMALS), round(y, _DECIMALS)) for x, y in kept.tolist())
 
 
 def _simplified(points: FloatArray, tolerance_m: float) -> FloatArray:

@@ -110,38 +110,52 @@ def way_of(request: Request, planner: Planner) -> FloatArray:
     return planner(request.pose, request.goal)  # nor is a path believed that leads elsewhere
 
 
-def shared_stretch(path: OwnPath, way: FloatArray, sites: Sites, params: HitchhikingParameters) -> Stretch | None:
+def shared_stretch(
+    path: OwnPath,
+    way: FloatArray,
+    sites: Sites,
+    params: HitchhikingParameters,
+    board_m: float | None = None,
+) -> Stretch | None:
     """What a driver can offer to a robot with the given ``way`` (N, 2): from the first place ahead to the last on both.
 
     None where both ways share less than T_dhh from there on (P18 Algorithm 2). One boards at any of those places, or at
-    the hitchhiking points that the path passes.
+    the hitchhiking points that the path passes; where somebody else boards already, there: ``board_m`` along the path.
     """
-    boards_at = [path.come_m]
-    if not params.board_anywhere:
-        places = _places(sites)
-        arcs, away = path.line.project_all(places[:, :2])
-        passed = [(arcs[k], places[k, 2]) for k in np.flatnonzero(away <= _SITE_M).tolist()]
-        ahead = [arc for arc, theta in passed if arc >= path.come_m - _SITE_M and _leads(path.line, arc, theta)]
-        if not ahead:
-            return None
-        boards_at = [max(min(ahead), path.come_m)]
-    return shared_from(path, boards_at[0], way, max(_LANES_M, params.overlap_tolerance_m), params.min_ride_m)
+    if board_m is not None:
+        return shared_from(path, board_m, way, params)
+    if params.board_anywhere:
+        return shared_from(path, path.come_m, way, params)
+    places = _places(sites)
+    arcs, away = path.line.project_all(places[:, :2])
+    ahead = [
+        float(arcs[k])
+        for k in np.flatnonzero((away <= _SITE_M) & (arcs >= path.come_m - _SITE_M)).tolist()
+        if _leads(path.line, arcs[k], places[k, 2])
+    ]
+    return shared_from(path, max(min(ahead), path.come_m), way, params) if ahead else None
 
 
-def shared_from(
-    path: OwnPath, first_m: float, way: FloatArray, tolerance_m: float, min_ride_m: float
-) -> Stretch | None:
+def shared_from(path: OwnPath, first_m: float, way: FloatArray, params: HitchhikingParameters) -> Stretch | None:
     """From the first place ahead of ``first_m`` to the last that ``way`` (N, 2) passes too; as :func:`common_path`.
 
-    None where they share less than T_dhh.
+    None where they share less than T_dhh. Two plans may take any two lanes of a corridor. Where they run in one lane at
+    last, they part where they leave it.
     """
     # The plan is longer than the line to which it is simplified.
     plan_from_m, _ = Polyline(path.plan).project(*path.line.point(first_m))
-    shared = common_path(path.plan, way, tolerance_m, from_a_m=plan_from_m)
-    if shared.nearest is None or shared.farthest is None or shared.length_m < min_ride_m:
+    lane_m = params.overlap_tolerance_m
+    shared = common_path(path.plan, way, max(_LANES_M, lane_m), from_a_m=plan_from_m)
+    if shared.nearest is None or shared.farthest is None:
+        return None
+    beyond_m, last = 0.0, shared.farthest
+    in_lane = common_path(path.plan, way, lane_m, from_a_m=max(plan_from_m, shared.end_a_m - 2.0 * _LANES_M))
+    if in_lane.farthest is not None and in_lane.end_a_m >= shared.end_a_m - _LANES_M:
+        beyond_m, last = shared.end_a_m - in_lane.end_a_m, in_lane.farthest
+    if shared.length_m - beyond_m < params.min_ride_m:
         return None
     begin_m, _ = path.line.project(shared.nearest.x, shared.nearest.y, first_m)
-    end_m, _ = path.line.project(shared.farthest.x, shared.farthest.y, begin_m)
+    end_m, _ = path.line.project(last.x, last.y, begin_m)
     return Stretch(path.line, begin_m, end_m)
 
 

@@ -19,8 +19,10 @@ from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.mapping.grid import OccupancyGrid
 from hitchhike_ros.mapping.sites import Sites
 from hitchhike_ros.planning.overlap import common_path
-from hitchhike_ros.protocol.announcement import asked_path
-from hitchhike_ros.protocol.messages import Accept, Ack, Deny, Lock, Message
+from hitchhike_ros.protocol.announcement import OwnPath, asked_path
+from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
+from hitchhike_ros.protocol.matching import agreed_stretch, shared_stretch, way_of
+from hitchhike_ros.protocol.messages import Accept, Ack, Deny, Lock, Message, Request
 from hitchhike_ros.protocol.parameters import HitchhikingParameters
 from hitchhike_ros.simulation.grid.parameters import GridWorldParameters
 from hitchhike_ros.simulation.grid.robot import Errand, GridRobot
@@ -156,6 +158,60 @@ def test_against_the_way_nothing_is_shared() -> None:
     assert (pair.offers, pair.denials) == ([], {"Path too short"})
 
 
+U_WAY = np.array([(6.0, 3.5), (32.5, 3.5), (32.5, 11.5), (6.0, 11.5)])
+ELSEWHERE = ((3.0, 11.5), (2.5, 11.5))
+
+
+def _asks(path: tuple[tuple[float, float], ...]) -> Request:
+    return Request(robot_id="rider", x=6.0, y=3.5, theta=0.0, goal=Pose2D(6.0, 11.5), profile=1.0, path=path)
+
+
+@pytest.mark.parametrize(
+    "told", [(), (ELSEWHERE[0],), ELSEWHERE, ((6.0, 3.5), (30.0, 3.5)), ((1e300, 0.0), (6.0, 11.5))]
+)
+def test_a_request_without_a_path_to_its_goal_is_judged_by_a_plan_of_the_drivers_own(
+    told: tuple[tuple[float, float], ...],
+) -> None:
+    planned: list[tuple[Pose2D, Pose2D]] = []
+
+    def planner(start: Pose2D, goal: Pose2D) -> np.ndarray:
+        planned.append((start, goal))
+        return U_WAY
+
+    way = way_of(_asks(told), planner)
+    assert planned == [(Pose2D(6.0, 3.5), Pose2D(6.0, 11.5))]
+    assert way.tolist() == U_WAY.tolist()
+    told_path = asked_path(U_WAY)
+    assert way_of(_asks(told_path), planner).tolist() == U_WAY.tolist()
+    assert len(planned) == 1, "a path that is told is not planned again"
+
+
+def test_an_older_robot_is_driven_through_a_u_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(HitchhikerMachine, "_asked_path", lambda *_: ())
+    free, driver, rider, least_m = CORRIDORS["u"]
+    Pair(_world(free, [rider[0]]), driver, rider).assert_ridden_as_told(least_m)
+
+
+@pytest.mark.parametrize(("goal_x", "offered"), [(22.0, False), (32.0, True)])
+def test_t_dhh_is_held_against_what_is_shared_ahead_of_the_boarding_point(goal_x: float, offered: bool) -> None:
+    path = OwnPath(_line((2, 3.5), (40, 3.5)))
+    path.come_m = 3.0
+    sites = Sites((), (HitchhikingPoint("p", _area(Pose2D(10, 3.5)), Pose2D(11.2, 3.5), Pose2D(10, 3.5)),))
+    stretch = shared_stretch(path, _line((2, 4.5), (goal_x, 4.5)), sites, HitchhikingParameters(mode="network"))
+    assert (stretch is not None) is offered
+    if stretch is not None:
+        assert (stretch.begin_m, stretch.end_m) == pytest.approx((8.0, goal_x - 2.0), abs=0.4)
+
+
+def test_a_lock_names_the_pass_of_a_place_that_is_passed_twice() -> None:
+    """Along a loop and on along its beginning: the same place is left after 10 m or after 40 m."""
+    path = OwnPath(_line((0, 0), (20, 0), (20, 5), (-5, 5), (-5, 0.5), (30, 0.5)))
+    begin, waiting = Pose2D(2.2, 0.0), Pose2D(1.0, 0.0)
+    for leave, told_m, length_m in (((12.0, 0.2), 11.0, 9.8), ((12.0, 0.2), 69.5, 68.3), ((12.0, 0.2), 0.0, 9.8)):
+        stretch = agreed_stretch(path, begin, waiting, leave, told_m)
+        assert stretch.length_m == pytest.approx(length_m, abs=1.5)
+
+
 def _line(*corners: tuple[float, float]) -> np.ndarray:
     line = Polyline(corners)
     return line.at(np.linspace(0.0, line.end_m, max(2, int(line.end_m / 0.1))))
@@ -185,6 +241,6 @@ def test_a_path_is_asked_with_in_few_points_that_keep_to_it(points: int) -> None
     plan = np.column_stack([20.0 * angle, 3.0 * np.sin(7.0 * angle)])
     asked = asked_path(plan)
     assert 2 <= len(asked) <= 64
-    assert (asked[0], asked[-1]) == (tuple(plan[0]), tuple(plan[-1]))
+    assert np.array([asked[0], asked[-1]]) == pytest.approx(plan[[0, -1]], abs=1e-3)
     _, away = Polyline(asked).project_all(plan)
     assert away.max() <= 0.1

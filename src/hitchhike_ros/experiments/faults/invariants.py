@@ -42,6 +42,8 @@ _DETOUR = 2.0
 _ASKS, _IS_ASKED = ("requesting",), ("offering", "aligning")
 # Ways that a driver counts and its rider does not: it stops a little after it lost the rider, and localizes with noise.
 _METRES, _METRES_SHARE = 3.0, 0.06
+# Metres by which bodies may fall short of a ride that is completed: what is left for coupling, stopping, and noise.
+_SHORT_M, _SHORT_SHARE = 1.5, 0.03
 # Of a ride apart from its duration: questions, answers, last words, and as much again for luck.
 _MESSAGES_A_RIDE = 120
 
@@ -60,6 +62,7 @@ class _Ride:
     awards: int = 0
     award_m: float = 0.0
     completed: bool = False
+    told_m: float | None = None
     ridden_from: float | None = None
     ridden_m: float = 0.0
     crashed: bool = False
@@ -161,6 +164,10 @@ class Referee:
         ride = self._rides.setdefault(message.ride_id, _Ride(now, now))
         ride.messages, ride.last = ride.messages + 1, now
         self._check_messages(message.ride_id, ride, robot)
+        if isinstance(message, Ack) and message.of == Lock.type:
+            if ride.ridden_from is not None and message.ride_m != ride.told_m:
+                self._fail(f"{message.ride_id} is {message.ride_m:.1f} m now that it is ridden, not {ride.told_m} m")
+            ride.told_m = message.ride_m
         if isinstance(message, Lock | RequestCancel | Terminate):
             self._offers.pop((robot.name, message.to, message.ride_id), None)
             self._answered.add((robot.name, message.to, message.ride_id))
@@ -185,13 +192,28 @@ class Referee:
             self._fail(f"{award.ride_id}: {award.points} points for {award.ride_m:.1f} m")
 
     def _note_completed(self, robot: GridRobot, effects: Sequence[Effect]) -> None:
+        early = any(isinstance(effect, Report) and effect.text != str(effect.reason) for effect in effects)
         for effect in effects:
             if isinstance(effect, Award):
                 self._rides[effect.ride_id].completed = True
+                if not early:  # nor said why
+                    self._check_length(effect)
         if not any(isinstance(effect, Award) for effect in effects) and robot.status.role == "driver":
             self._fail(f"{robot.name} completes a ride that nobody credits")
 
     # What must hold.
+
+    def _check_length(self, award: Award) -> None:
+        """A ride that is completed is as long as was told when it was locked; how much longer, the award bounds."""
+        ride = self._rides[award.ride_id]
+        if ride.told_m is None or ride.crashed:
+            return
+        if not math.isclose(award.ride_m, ride.told_m, abs_tol=1e-6):
+            self._fail(f"{award.ride_id}: {ride.told_m:.1f} m were told, {award.ride_m:.1f} m are credited")
+        if not self._world.robots[award.hitchhiker].alive or ride.ridden_from is None:
+            return
+        if ride.ridden_m < ride.told_m - _SHORT_M - _SHORT_SHARE * ride.told_m:
+            self._fail(f"{award.ride_id}: {ride.told_m:.1f} m were told, {ride.ridden_m:.1f} m were ridden")
 
     def _check_driver(self, now: float, robot: GridRobot) -> None:
         machine = robot.agent.driver

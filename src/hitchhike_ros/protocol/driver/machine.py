@@ -470,7 +470,11 @@ class DriverMachine(Machine[DriverState, DriverFacts]):
                 self._send(Decouple(**self._to(rider), **self._state_fields(rider)))
 
     def _complete(self) -> None:
-        self._finish(sender(self.facts), Ending(Reason.RIDE_COMPLETED), tell=False)
+        """A ride that ends early, as another robot stands where it was to end, says so."""
+        f, ending = self.facts, Ending(Reason.RIDE_COMPLETED)
+        if f.yields is not None and any(rider.left_m > 0.0 for rider in sender(f)):
+            ending = ending.adding(str(Ending(Reason.GOAL_TAKEN, f.yields.says())))
+        self._finish(sender(f), ending, tell=False)
 
     def _end_rides(self) -> None:
         """Whatever the machine's ending says."""

@@ -85,7 +85,7 @@ def here(f: DriverFacts, request: Request) -> Offer:
         way = way_of(request, f.planner)
     except PlanningError as exc:
         raise Refusal(Reason.PATH_TOO_SHORT) from exc
-    shared = shared_from(path, path.come_m, way, f.params.overlap_tolerance_m, f.params.min_ride_m)
+    shared = shared_from(path, path.come_m, way, f.params)
     if shared is None:
         raise Refusal(Reason.PATH_TOO_SHORT)
     _check_profile(f, request)
@@ -103,7 +103,8 @@ def from_afar(f: DriverFacts, request: Request) -> tuple[Offer, tuple[Waypoint, 
     if not f.free_places:
         raise Refusal(Reason.PATH_TOO_SHORT if f.state.phase is Phase.ALONE else Reason.ALREADY_DRIVING)
     assert f.route is not None
-    stretch = f.route.shared_with(request, f.estimate, f.state is DriverState.NAVIGATING)
+    board_m = f.riders[0].offer.stretch.begin_m if f.riders else None
+    stretch = f.route.shared_with(request, f.estimate, f.state is DriverState.NAVIGATING, board_m)
     if stretch is None:
         raise Refusal(Reason.PATH_TOO_SHORT)
     _check_profile(f, request)

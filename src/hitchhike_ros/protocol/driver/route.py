@@ -41,8 +41,13 @@ class Route:
                 self._path = None  # navigation finds out too, and says why
         return self._path
 
-    def shared_with(self, request: Request, estimate: PoseEstimate | None, may_plan: bool) -> Stretch | None:
-        """What it shares with the hitchhiker's way, None where that is too little; a question is repeated, not this."""
+    def shared_with(
+        self, request: Request, estimate: PoseEstimate | None, may_plan: bool, board_m: float | None
+    ) -> Stretch | None:
+        """What it shares with the hitchhiker's way, None where that is too little; a question is repeated, not this.
+
+        ``board_m``: where along the path others board already.
+        """
         key = (request.robot_id, request.ride_id)
         if key not in self._asked:
             path = self.path(estimate, may_plan)
@@ -54,7 +59,7 @@ class Route:
             except PlanningError:
                 self._asked[key] = None  # it goes nowhere
             else:
-                self._asked[key] = shared_stretch(path, way, self._sites, self._params)
+                self._asked[key] = shared_stretch(path, way, self._sites, self._params, board_m)
         return self._asked[key]
 
 

@@ -15,11 +15,13 @@ from hitchhike_ros.protocol.driver import machine as d
 from hitchhike_ros.protocol.driver.convoy import Convoy, Rider
 from hitchhike_ros.protocol.driver.facts import DriverFacts
 from hitchhike_ros.protocol.driver.machine import DriverMachine
-from hitchhike_ros.protocol.events import Award, TakeObstacles
+from hitchhike_ros.protocol.events import Award, Send, TakeObstacles
 from hitchhike_ros.protocol.hitchhiker import machine as h
 from hitchhike_ros.protocol.hitchhiker.machine import HitchhikerMachine
 from hitchhike_ros.protocol.hitchhiker.ride import Ride
 from hitchhike_ros.protocol.machine import Machine, Table
+from hitchhike_ros.protocol.matching import Stretch
+from hitchhike_ros.protocol.messages import Ack
 
 # Bad networks and worse ones take turns.
 SEEDS = [seed for k in range(100) for seed in (k, SEVERE + k)]
@@ -102,6 +104,28 @@ def _wait_for_coupling(monkeypatch: pytest.MonkeyPatch) -> None:
     _before(Convoy, "silent", lambda *_: ())(monkeypatch)
 
 
+def _end_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Stretch, "end", property(lambda self: self.line.pose(self.end_m - 5.0)))
+
+
+def _end_early_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    _end_early(monkeypatch)
+    monkeypatch.setattr(d, "RIDE_TOLERANCE_M", 5.0)
+
+
+def _tell_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    def confirm(original: Any, self: DriverMachine, lock: Any) -> None:
+        original(self, lock)
+        self._effects[:] = [
+            replace(effect, message=replace(effect.message, ride_m=effect.message.ride_m + 6.0))
+            if isinstance(effect, Send) and isinstance(effect.message, Ack)
+            else effect
+            for effect in self._effects
+        ]
+
+    _before(DriverMachine, "_confirm_lock", confirm)(monkeypatch)
+
+
 def _nothing(*_: Any, **__: Any) -> None:
     return None
 
@@ -127,6 +151,9 @@ MUTATIONS: dict[str, Patch] = {
     "forget the goal after a ride": _before(Agent, "_go_on", lambda *_: []),
     "say everything at every tick": _before(Machine, "_every", lambda *_: True),
     "hurry with a rider": _fast_with_riders,
+    "end a ride before its end": _end_early,
+    "end a ride before its end and credit all of it": _end_early_for_all,
+    "tell a length that is not kept": _tell_more,
 }
 
 
