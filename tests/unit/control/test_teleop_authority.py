@@ -36,7 +36,8 @@ START, GOAL = Pose2D(8.0, 5.72, 0.0), Pose2D(20.0, 5.72, 0.0)
 def test_a_driver_is_driven_by_hand_only_where_it_drives(state: DriverState) -> None:
     goal = driver_in(state).machine.goal
     mode = Status(0.0, "p3dx", "driver", state.value, goal=goal).teleop_mode
-    assert mode == ("guided" if state in (DriverState.NAVIGATING, DriverState.DRIVING) else "off")
+    drives = state in (DriverState.NAVIGATING, DriverState.YIELDING, DriverState.DRIVING)
+    assert mode == ("guided" if drives else "off")
     assert Status(0.0, "p3dx", "driver", state.value).teleop_mode == "off"
 
 
