@@ -41,8 +41,8 @@ class BadFilesTest(unittest.TestCase):
         self.assertNotIn("Traceback", said)
 
     def parameters(self, **changed: object) -> list[str]:
-        files = {"config": CONFIG, "urdf": URDF, "world": WORLD, **changed}
-        return [f"_{name}:={value}" for name, value in files.items()]
+        given = {"robot_id": "turtlebot", "config": CONFIG, "urdf": URDF, "world": WORLD, **changed}
+        return [f"_{name}:={value}" for name, value in given.items()]
 
     def test_map(self) -> None:
         missing = self.folder / "no.yaml"
@@ -82,6 +82,10 @@ class BadFilesTest(unittest.TestCase):
         broken = self.file("broken.urdf", "<robot>")
         for node in ("slam", "obstacle_avoidance", "visual_servoing", "hitchhike_comm"):
             self.refuses(node, self.parameters(urdf=broken), str(broken), "URDF")
+
+    def test_name(self) -> None:
+        """Started without a namespace, nobody knows what the robot is called."""
+        self.refuses("hitchhike_comm", self.parameters(robot_id="''"), "~robot_id", "expected a robot's name", "__ns:=")
 
 
 if __name__ == "__main__":

@@ -10,13 +10,17 @@ import pytest
 
 from hitchhike_ros.core.datatypes import Pose2D, PoseEstimate
 from hitchhike_ros.core.geometry import between, compose, distance, wrap_angle
+from hitchhike_ros.core.polyline import Polyline
 from hitchhike_ros.protocol.driver.convoy import Convoy, Offer, Rider
+from hitchhike_ros.protocol.matching import Stretch
 from hitchhike_ros.protocol.messages import Ack
 from protocol_helpers import MARKER_POSE, REAR_MARKER, SIGMA, WEST, messages
 
 
 def _rider(name: str) -> Rider:
-    return Rider(Offer(name, "ride", WEST, 20.0, Pose2D(23.0, 5.72)), REAR_MARKER, coupled=True)
+    return Rider(
+        Offer(name, "ride", WEST, Stretch(Polyline([(3.0, 5.72), (23.0, 5.72)]), 0.0, 20.0)), REAR_MARKER, coupled=True
+    )
 
 
 def test_what_is_told_of_the_robot_ahead_is_of_one_time() -> None:
