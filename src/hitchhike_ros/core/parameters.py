@@ -84,8 +84,11 @@ def load_parameters(
     merged = {**content, **(overrides or {})}
     source = "private parameters" if overrides else (file or "defaults")
     parameters = convert(merged, cls, source, section)
+    unlimited = {f.name for f in fields(cls) if f.default == math.inf}  # type: ignore[arg-type]
     for name in merged:
-        require_finite(getattr(parameters, name), source, f"{section}.{name}")
+        value = getattr(parameters, name)
+        if not (name in unlimited and value == math.inf):
+            require_finite(value, source, f"{section}.{name}")
     return parameters
 
 

@@ -1,3 +1,4 @@
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -139,3 +140,17 @@ def test_the_error_is_one_of_the_package_and_of_the_kind_asked_for() -> None:
     assert type(caught.value) is MapFileError
     assert caught.value.field == "robots.p3dx.start.x"
     assert caught.value.value == "left"
+
+
+@dataclass(frozen=True)
+class Reach:
+    range_m: NonNegative = math.inf
+    speed_mps: Positive = 1.0
+
+
+def test_only_what_is_unlimited_by_default_may_be_infinite() -> None:
+    assert load_parameters(Reach, "network", None, {"range_m": "inf"}).range_m == math.inf
+    assert load_parameters(Reach, "network", None, {"range_m": 5}).range_m == 5.0
+    for name, value in (("range_m", math.nan), ("speed_mps", math.inf)):
+        with pytest.raises(ParameterError, match=rf"network\.{name}"):
+            load_parameters(Reach, "network", None, {name: value})
