@@ -16,12 +16,13 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMsg
 from sensor_msgs.msg import CameraInfo as CameraInfoMsg
 from sensor_msgs.msg import Image
+from sensor_msgs.msg import LaserScan as LaserScanMsg
 from std_msgs.msg import Int8, String
 
-from hitchhike_ros.core.datatypes import CameraInfo, Odometry, Pose2D, Twist2D
+from hitchhike_ros.core.datatypes import CameraInfo, LaserScan, Odometry, Pose2D, Twist2D
 from hitchhike_ros.protocol.observations import decode_observations
 from hitchhike_ros.protocol.status import ModuleSwitches, ServoCommand, Status, encode_status
-from hitchhike_ros.ros_io.conversions import odometry_to_msg
+from hitchhike_ros.ros_io.conversions import odometry_to_msg, scan_to_msg
 from hitchhike_ros.ros_io.images import camera_info_to_msg, image_to_msg
 
 CAMERA = CameraInfo(640, 480, np.array([[554.26, 0.0, 319.5], [0.0, 554.26, 239.5], [0.0, 0.0, 1.0]]))
@@ -61,6 +62,7 @@ class Robot:
                 ("camera/image_raw", Image),
                 ("camera/camera_info", CameraInfoMsg),
                 ("odom", OdometryMsg),
+                ("scan", LaserScanMsg),
                 ("hhike_msg/status", String),
             )
         }
@@ -93,6 +95,8 @@ class Robot:
             x = math.nan if self.broken_odometry else 0.0
             msg = odometry_to_msg(Odometry(now, Pose2D(x, 0.0, 0.0), Twist2D()), "odom", "base_footprint")
             self._publishers["odom"].publish(msg)
+        scan = LaserScan(now, -1.5, 0.1, 0.02, 8.0, np.full(31, 5.0))  # nothing is near
+        self._publishers["scan"].publish(scan_to_msg(scan, "laser"))
         if self.info:
             self._publishers["camera/camera_info"].publish(camera_info_to_msg(self.camera, now, "camera_optical"))
         if self.image is not None:
@@ -242,8 +246,8 @@ class VisualServoingTest(unittest.TestCase):
 
     def test_unusable_images_are_named(self):
         self.drives()
-        self.robot.encoding = "bayer_grbg8"
-        self.assert_stops(time.monotonic(), "bayer_grbg8")
+        self.robot.encoding = "nv21"
+        self.assert_stops(time.monotonic(), "nv21")
         self.robot.encoding = "rgb8"
         self.robot.image = picture(0, 1.2)[:240].copy()
         self.assert_stops(time.monotonic() + 0.2, "640 x 480")
