@@ -81,7 +81,9 @@ class RideTest(unittest.TestCase):
 
     def test_ride_and_award(self) -> None:
         self.assertAlmostEqual(20.4, self.figure("ride"), delta=0.02 * 20.4)
-        # The paper's 8.2 is for the metres that were ridden; paid are those that were told, which go round no new box.
+        # Paid is what was told at the lock, at 0.4 points a metre; the paper's 8.2 is for the metres that were ridden.
+        (told_m,) = {ack.ride_m for ack in self.watch.of_type(Ack) if ack.of == "lock"}
+        self.assertAlmostEqual(0.4 * told_m, self.figure("award"), places=3)
         self.assertAlmostEqual(8.2, self.figure("award"), delta=0.02 * 8.2)
 
     def test_the_award_is_written_down_once(self) -> None:

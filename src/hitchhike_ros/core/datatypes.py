@@ -29,7 +29,8 @@ Side = Literal["left", "right"]
 TeleopMode = Literal["free", "guided", "off"]
 
 
-@dataclass(frozen=True)
+# Without slots msgspec leaves out of a pose, and so of messages that it is told in, what the file did not say.
+@dataclass(frozen=True, slots=True)
 class Pose2D:
     """A planar pose; ``theta`` is kept as given, wrap it with :func:`hitchhike_ros.core.geometry.wrap_angle`."""
 

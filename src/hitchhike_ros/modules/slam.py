@@ -389,8 +389,7 @@ class Slam:
         p, explained = self._params, self._localizer.explained
         if used:
             return explained is not None and explained < p.min_explained
-        returns = np.isfinite(scan.ranges) & (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
-        return bool(returns.mean() >= p.min_returns)
+        return bool(np.isfinite(scan.ranges).mean() >= p.min_returns)
 
     def _may_leave_out(self, stamp: float, now: float) -> bool:
         """Whether a scan need not be worked on, of a robot that stands, has nowhere to go and knows its pose."""

@@ -104,9 +104,7 @@ class Agent:
             return []
         if isinstance(event, GoalGiven):
             effects = self._drop_goal(now)
-            # Made anew: of a pose from a file msgspec writes no field that has its default.
-            goal = event.goal
-            self._goal, self._waits, self._asks = Pose2D(goal.x, goal.y, goal.theta), True, 0
+            self._goal, self._waits, self._asks = event.goal, True, 0
             return effects
         if isinstance(event, GoalCancelled):
             return self._drop_goal(now)

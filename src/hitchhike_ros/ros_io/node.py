@@ -19,7 +19,10 @@ from hitchhike_ros.ros_io.conversions import to_stamp
 
 # For so long, in wall time, nobody says that simulated time does not begin (chosen: a simulator has to start).
 _CLOCK_TIMEOUT_S = 5.0
-_NO_CLOCK = "/clock: nothing for 5 s though use_sim_time is true, expected a simulator or a bag; nothing is done before"
+_NO_CLOCK = (
+    f"/clock: nothing for {_CLOCK_TIMEOUT_S:g} s though use_sim_time is true, expected a simulator or a bag; "
+    "nothing is done before"
+)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 

@@ -17,7 +17,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hitchhike_ros.core.datatypes import Pose2D
 from hitchhike_ros.core.errors import MessageError
+from hitchhike_ros.core.parameters import convert
 from hitchhike_ros.protocol.messages import (
     MESSAGE_TYPES,
     Accept,
@@ -246,3 +248,12 @@ def test_a_message_that_has_waited_tells_of_a_time_longer_ago() -> None:
     assert (told.age_s, ack.seen_age_s) == (pytest.approx(0.3), pytest.approx(0.2))
     assert messages()[Driver].aged(-1.0) == messages()[Driver]  # the clock was set back
     assert other.aged(5.0) is other
+
+
+@pytest.mark.parametrize("given", [{"x": 1, "y": 2.5}, {"theta": 0.3}, {}])
+def test_a_pose_of_which_a_file_says_a_part_is_told_whole(given: dict[str, float]) -> None:
+    """A hitchhiking point's pose goes from the world file into the lock."""
+    pose = convert(given, Pose2D, "office.world.yaml", "hitchhiking_points[0].waiting_pose")
+    lock = Lock(robot_id="a", to="b", ride_id="r", aligning=pose, waiting=pose)
+    assert decode(encode(lock)) == lock
+    assert json.loads(encode(lock))["waiting"] == {"x": pose.x, "y": pose.y, "theta": pose.theta}

@@ -252,9 +252,7 @@ class HitchhikerMachine(Machine[HitchhikerState, HitchhikerFacts]):
     def _note_denial(self, denial: Deny) -> None:
         told = Ending.told(denial.reason)
         if told.reason is Reason.DRIVES_NOWHERE and self.ending:
-            told = (
-                self.ending
-            )  # what a driver says, or why it asks again, is worth more than that there is another robot
+            told = self.ending  # that a robot is no driver is worth less than what a driver said
         if told != self.ending:
             self._report(f"{denial.robot_id} denies: {told}", told.reason)
         self.ending = told
